@@ -29,8 +29,8 @@ struct model {
 #define COSTLY (1u << 31)  /* preparing takes more than some ten microseconds */
 #define SOLVES (1u << 30)  /* preparing may solve transport */
 #define DERIVES (1u << 29) /* the model has derivatives of ln R */
-#define SLABS (1u << 28)   /* it takes a layer of finite thickness */
-#define LAYERS (1u << 27)  /* it takes several layers */
+#define SLABS (1u << 28)   /* the model takes a layer of finite thickness */
+#define LAYERS (1u << 27)  /* the model takes several layers */
 #define BIT(IDENT) (1u << CORE_PARAMETER_##IDENT)
 #define TAKEN_BY_ALL (BIT(TOLERANCE) | BIT(COS_IN) | BIT(COS_OUT))
 
@@ -133,7 +133,8 @@ static core_fault check_parameters(const struct model *model, const core_paramet
   return (core_fault){0};
 }
 
-/* Checks that the model takes the number of layers, and a last one of finite thickness. */
+/* Checks that the model takes media of this number of layers, and a last layer of finite
+ * thickness. */
 static core_fault check_shape(const struct model *model, const core_inputs *inputs) {
   const unsigned taken = parameters_of(model), count = inputs->parameters->layer_count;
   const bool ends = inputs->medium[count - 1].thickness_mm > 0;

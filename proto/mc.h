@@ -21,8 +21,9 @@ enum mc_state {
 /* A parsed mc request. */
 typedef struct mc_request {
   wire_mc_request fixed;
-  core_medium layers[CORE_LAYERS_MAX]; /* the first fixed.layer_count are set */
-  double albedo[CORE_MC_ALBEDOS_MAX];  /* the first fixed.albedo_count are set */
+  /* the layers of the medium: the first fixed.layer_count are set */
+  core_medium layers[CORE_LAYERS_MAX];
+  double albedo[CORE_MC_ALBEDOS_MAX]; /* the first fixed.albedo_count are set */
   core_parameters parameters;
 } mc_request;
 

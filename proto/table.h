@@ -12,7 +12,7 @@
 /* A parsed table request. It points into the payload. */
 typedef struct table_request {
   wire_table_request fixed;
-  const core_medium *layers; /* [fixed.layer_count], in the payload */
+  const core_medium *layers; /* [fixed.layer_count]: the layers of the medium, in the payload */
   core_parameters parameters;
 } table_request;
 
@@ -36,7 +36,8 @@ size_t table_reply_bytes(const core_parameters *parameters, size_t word_count);
 uint32_t table_checksum(const uint8_t *bytes, size_t count);
 
 /* Writes the reply for a profile of evaluator lut, table_reply_bytes() long. `at` is a multiple of
- * 8. layers, parameters: those of the request; errors: those of the model by band of radii. */
+ * 8. layers and parameters are those of the request. errors: those of the model by band of
+ * radii. */
 void table_reply_put(uint8_t *at, const core_profile *profile, const core_medium *layers,
                      const core_parameters *parameters, const core_model_errors *errors);
 
@@ -47,10 +48,10 @@ size_t table_surface_words(const core_varying *surface);
 void table_reply_put_surface(uint8_t *at, const core_varying *surface,
                              const core_parameters *parameters);
 
-/* Parses a reply. *layers and *words point into the payload, which starts at a multiple of 8; there are
- * fixed->layer_count layers. Returns false if
- * the payload does not have the shape that its fixed part announces, has another layout, or has a
- * wrong checksum. Core checks what the words say. */
+/* Parses a reply. Sets *layers, of which there are fixed->layer_count, and *words to places in the
+ * payload, which starts at a multiple of 8. Returns false if the payload does not have the shape
+ * that its fixed part announces, has another layout, or has a wrong checksum. Core checks the
+ * words. */
 bool table_reply_parse(const uint8_t *payload, size_t payload_bytes, wire_table_reply *fixed,
                        const core_medium **layers, core_parameters *parameters,
                        const float **words);

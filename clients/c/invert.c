@@ -10,7 +10,7 @@
 
 /* ---- parts --------------------------------------------------------------------------------- */
 
-/* Two numbers that may be NaN. */
+/* Returns whether two numbers differ. A NaN differs from no number. */
 static bool differ(double a, double b) {
   return a < b || a > b;
 }

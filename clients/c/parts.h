@@ -74,9 +74,10 @@ struct libdipole_pending {
   unsigned model;                            /* eval and sample; may be DIPOLE_ANY_MODEL */
   uint16_t evaluator, wanted;                /* eval and sample */
   uint16_t moments;                          /* varying */
-  uint16_t layer_count;                      /* of each medium; 0: 1 */
-  uint32_t medium_count;    /* eval, sample: number of media; fit: residuals of each set; else 0 */
-  uint64_t radius_count;    /* eval, sample: radii; invert: media; fit: sets */
+  uint16_t layer_count;                      /* layers of each medium; 0 means 1 */
+  uint32_t medium_count; /* eval, sample: number of media; fit: residuals of each set; else 0 */
+  /* number of items of the reply: radii (eval, sample), media (invert) or sets (fit) */
+  uint64_t radius_count;
   libdipole_reader *reader; /* gets each part when it arrives; NULL: the parts are put together */
   void *into_values;        /* see dipole_query */
   void *into_radii;

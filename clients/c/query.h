@@ -6,7 +6,7 @@
 #include "clients/c/request.h"
 #include "proto/schema.h"
 
-/* Returns how many layers each medium of a query has that says this. */
+/* Returns the number of layers that a query's layer_count means: 0 means 1. */
 static inline uint16_t libdipole_layers(uint32_t layer_count) {
   return (uint16_t)(layer_count == 0 ? 1 : layer_count > UINT16_MAX ? UINT16_MAX : layer_count);
 }

@@ -529,7 +529,7 @@ static bool send_due(dipole_client *client, bool *moves, dipole_error *error) {
     const libdipole_stream *stream = &client->stream;
     const bool sending = stream->out_end > stream->out_begin && stream->send_errno == 0;
     const short events = (short)(POLLIN | (sending ? POLLOUT : 0));
-    unsigned wait_ms = (unsigned)(next_ms - now_ms); /* from 1 to retry.for_ms */
+    unsigned wait_ms = (unsigned)(next_ms - now_ms); /* ms to wait, from 1 to retry.for_ms */
     short ready;
     if (!limit_to_call(client, &wait_ms, error)) {
       return false;
@@ -783,7 +783,8 @@ bool libdipole_request_begin(dipole_client *client, libdipole_pending *pending,
   uint8_t *at = client->stream.out + client->stream.out_end;
   wire_put_header(at, &header);
   *payload = at + WIRE_BYTES_header;
-  client->torn = true; /* until the caller has filled the payload */
+  /* bytes of the request are missing until the caller has filled the payload */
+  client->torn = true;
   client->stream.out_end += bytes;
   client->pending[client->pending_begin + client->pending_count++] = *pending;
   return true;

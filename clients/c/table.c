@@ -191,7 +191,7 @@ bool dipole_table_load(const void *bytes, size_t count, dipole_table **table, di
 
 /* ---- from a daemon ------------------------------------------------------------------------- */
 
-/* Returns how many layers a query has, and sets *layers to them. */
+/* Returns the number of layers of a query's medium, and sets *layers to them. */
 static uint16_t layers_of(const dipole_table_query *query, const dipole_medium **layers) {
   *layers = query->layers != NULL ? query->layers : &query->medium;
   return libdipole_layers(query->layers != NULL ? query->layer_count : 1);

@@ -10,7 +10,7 @@
 /* The values of one model and channel. Single precision values are held as the doubles that they
  * equal. */
 typedef struct cli_eval_values {
-  double albedo;                             /* NaN if it is not wanted */
+  double albedo;                             /* albedo of the medium; NaN if it is not wanted */
   dipole_errors errors;                      /* the largest errors of all quantities */
   dipole_errors of_each[CLI_QUANTITIES_MAX]; /* the errors of each of the report's quantities */
   double *arrays[CLI_QUANTITIES_MAX]; /* [place_count] for each of the report's quantities; NULL for
@@ -18,7 +18,7 @@ typedef struct cli_eval_values {
 } cli_eval_values;
 
 typedef struct cli_eval_model {
-  const dipole_choice *choice; /* NULL until the daemon has chosen it */
+  const dipole_choice *choice; /* the model; NULL until the daemon has chosen it */
   const dipole_choice *evaluator;
   bool named; /* named on the command line, not only by `all`: its refusal is a failure */
   bool
@@ -34,7 +34,7 @@ typedef struct cli_eval_report {
   cli_eval_model *models;
   bool chosen;               /* whether the daemon chose the model */
   const char *place;         /* where values are: "r", "f" or, of drawn radii, "u" */
-  size_t place_count;        /* 0 if there is only the albedo */
+  size_t place_count;        /* number of places; 0 if only the albedo is wanted */
   double *places;            /* [place_count] as the daemon used them: mm, 1/mm or a number */
   double least, most;        /* range of the finite places, set while the report is written */
   bool diverges;             /* a quantity diverges at r = 0, which model errors exclude */

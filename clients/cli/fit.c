@@ -56,7 +56,7 @@ typedef struct fit_sample {
   char *name;
   double of_sample[3]; /* g, eta and the aperture; NAN if the file does not say */
   double g, eta;       /* as taken */
-  const char *g_from;  /* where g comes from */
+  const char *g_from;  /* what g comes from, for messages */
   size_t first, count;
 } fit_sample;
 
@@ -67,11 +67,11 @@ typedef struct report {
   const char *source; /* name of the file, for messages */
   bool frequency;     /* the places are spatial frequencies */
   size_t sample_count;
-  fit_sample *samples; /* in the order of their first lines */
+  fit_sample *samples; /* samples in the order of their first lines */
   size_t count;
   /* [count], by samples and within them in the order of the file. A cell that is empty is NAN. */
   double *at, *values, *errors, *source_mm, *detector_mm;
-  uint64_t *lines;       /* of the file, from 1 on */
+  uint64_t *lines;       /* [count] line numbers in the file, from 1 on */
   dipole_fitted *fitted; /* [sample_count] */
   g_change *changes;     /* [sample_count] */
   double *residuals;     /* [count]; NAN where nothing was fitted */
@@ -94,7 +94,7 @@ static int check(cli_settings *settings) {
 
 /* ---- readings -------------------------------------------------------------------------------- */
 
-/* The columns: those of samples come first. */
+/* The columns of the file; those of samples come first. */
 enum {
   G,
   ETA,

@@ -76,7 +76,7 @@ typedef struct columns {
 } columns;
 
 enum row_state {
-  ROW_COPIED,  /* written as it was read */
+  ROW_COPIED,  /* written as it was read, without evaluation */
   ROW_READ,    /* its cells are read */
   ROW_GROUPED, /* its cells are read, and a request may unite it with others */
   ROW_WAITING, /* waits for the reply to query `id` */
@@ -120,22 +120,22 @@ enum { MODELS = 256, GROUP_VALUES = 65536 };
 enum { SURFACE_MEDIA = 256, FAMILIES = 512 };
 
 typedef struct family {
-  uint64_t hash; /* of what the media share; 0 if there are none */
+  uint64_t hash; /* hash of what the media share; 0: the family is empty */
   size_t count;
-  uint64_t media[SURFACE_MEDIA]; /* hashes of the first ones */
+  uint64_t media[SURFACE_MEDIA]; /* hashes of the first media */
 } family;
 
 typedef struct points_run {
   const cli_settings *settings;
   const char *source; /* name of the input, for messages */
   dipole_client *client;
-  cli_profile profile; /* what holds for rows whose cells are empty or absent */
+  cli_profile profile; /* values for cells that are empty or absent */
   cli_quantities quantities;
-  unsigned transport, tolerance; /* ids of this model and of this parameter */
-  bool by_f;                     /* R_f alone is wanted: radii are frequencies, 1/mm */
-  const cli_numbers *radii;      /* those of --r or --f */
-  size_t radius_count;           /* of each row: those of --r, or 1 */
-  const float *r_f32;            /* [radius_count]; NULL without --r */
+  unsigned transport, tolerance; /* ids of the model `transport` and the parameter `tolerance` */
+  bool by_f;                /* whether R_f alone is wanted: radii are then frequencies in 1/mm */
+  const cli_numbers *radii; /* the radii of --r or --f; NULL: each row has its own */
+  size_t radius_count;      /* number of radii of each row: those of --r, or 1 */
+  const float *r_f32;       /* [radius_count] radii in single precision; NULL without --r */
   dipole_measured_medium *media;
   size_t medium_count;
   cli_csv_reader reader;
@@ -143,15 +143,16 @@ typedef struct points_run {
   cli_progress progress;
   uint64_t input_bytes; /* size of the input; 0 if it is unknown */
   uint64_t rows_written, rows_bad;
-  uint64_t rows_done, bytes_done; /* of the rows that have a result, and of the comments */
-  int64_t reply_ms;               /* when the last reply came */
+  /* rows with a result so far, and bytes of these rows and of comments */
+  uint64_t rows_done, bytes_done;
+  int64_t reply_ms; /* time of the last reply */
   bool failed;
   size_t count, oldest; /* rows that have been read, and the first of them that may wait */
   size_t row_bytes;
-  bool refused[MODELS]; /* models, by id, whose media cannot vary */
-  double *arrays[3];    /* sigma_a, sigma_s and radii of a group */
+  bool refused[MODELS]; /* [id of a model]: whether its media cannot vary */
+  double *arrays[3];    /* [ROWS] of sigma_a, sigma_s and radii of a group */
   points_row *group[ROWS];
-  family families[FAMILIES]; /* by their hash; one takes the place of another */
+  family families[FAMILIES]; /* indexed by hash; a new family may replace an old one */
   points_row rows[ROWS];
 } points_run;
 
@@ -169,7 +170,7 @@ static bool fail(points_run *points, const char *what) {
 
 /* Counts a row that has been evaluated, refused or copied. */
 static void count_done(points_run *points, const points_row *row) {
-  const double input_bytes = (double)points->input_bytes; /* 0 if it is unknown */
+  const double input_bytes = (double)points->input_bytes; /* size of the input; 0: unknown */
   points->rows_done += row->state != ROW_COPIED;
   points->bytes_done += row->record.length;
   cli_progress_show(&points->progress,
@@ -329,7 +330,8 @@ static void write_line(const points_run *points, const points_row *row, size_t r
       write_output(points, row, radius, output);
     }
   }
-  for (size_t i = of->count; i < record->cell_count; i++) { /* cells beyond those of the header */
+  /* cells beyond those of the header are kept */
+  for (size_t i = of->count; i < record->cell_count; i++) {
     putc_unlocked(record->separator, stdout);
     cli_csv_copy_cell(record, i, stdout);
   }
@@ -628,7 +630,7 @@ static bool collect(points_run *points) {
 #define TABLE_TOLERANCE 1e-4
 
 static uint64_t hash_more(uint64_t hash, const void *bytes, size_t count) {
-  for (size_t i = 0; i < count; i++) { /* FNV-1a (Fowler, Noll, Vo 1991) */
+  for (size_t i = 0; i < count; i++) { /* hash function FNV-1a (Fowler, Noll, Vo 1991) */
     hash = (hash ^ ((const unsigned char *)bytes)[i]) * UINT64_C(0x100000001b3);
   }
   return hash;
@@ -666,7 +668,7 @@ static bool is_for_group(points_run *points, const points_row *row) {
           (row->evaluator == DIPOLE_LUT && is_worth_a_surface(points, row)));
 }
 
-/* Orders rows by what the rows of a group share. */
+/* Compares rows by what the rows of a group have in common. */
 static int compare(const points_row *a, const points_row *b) {
   const unsigned left[] = {a->model, a->evaluator, a->moments, (unsigned)a->parameters.count};
   const unsigned right[] = {b->model, b->evaluator, b->moments, (unsigned)b->parameters.count};
@@ -815,7 +817,7 @@ static bool write_all(points_run *points) {
     write_row(points, &points->rows[i]);
   }
   points->count = points->row_bytes = 0;
-  points->failed = points->failed || ferror(stdout); /* main() will say why */
+  points->failed = points->failed || ferror(stdout); /* main() reports the error */
   return !points->failed;
 }
 
@@ -862,7 +864,8 @@ static bool read_rows(points_run *points) {
   enum cli_csv_kind kind;
   cli_csv_record record = {0};
   while (read_record(points, &record, &kind)) {
-    points_row *row = &points->rows[points->count++]; /* reading may have written all rows */
+    /* read_record() may have written all rows, which resets the count */
+    points_row *row = &points->rows[points->count++];
     const cli_csv_record before = row->record;
     row->record = record;
     record = before;
@@ -883,7 +886,7 @@ static bool read_rows(points_run *points) {
 
 /* ---- the command ----------------------------------------------------------------------------- */
 
-/* Opens the input and learns its size. */
+/* Opens the input and determines its size. */
 static bool open_input(points_run *points, const char *operand) {
   struct stat about;
   points->reader.fd = cli_sheet_open(operand, &points->source);

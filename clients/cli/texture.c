@@ -101,7 +101,7 @@ static cmsHPROFILE profile_of(png_structp png, png_infop info, size_t channels) 
   png_uint_32 count;
   int method;
   bool known = png_get_valid(png, info, PNG_INFO_sRGB) != 0;
-  if (png_get_unknown_chunks(png, info, &chunks) > 0) { /* cICP alone is kept */
+  if (png_get_unknown_chunks(png, info, &chunks) > 0) { /* only the chunk cICP is kept */
     known = chunks[0].size == 4 && chunks[0].data[1] == CICP_SRGB;
     if (!known) {
       return NULL;
@@ -169,7 +169,7 @@ static bool start_png(png_structp png, png_infop info, const char *file, size_t 
       file_bytes) {
     return fail(file, "the PNG ends too early");
   }
-  png_set_expand(png); /* palettes become colours, and few bits become 8 */
+  png_set_expand(png); /* palettes become colours, and fewer than 8 bits become 8 */
   const int passes = png_set_interlace_handling(png);
   png_read_update_info(png, info);
   (void)passes;
@@ -177,7 +177,7 @@ static bool start_png(png_structp png, png_infop info, const char *file, size_t 
                   (type & PNG_COLOR_MASK_COLOR) != 0 ? 3 : 1, of);
 }
 
-/* What is freed also if libpng gives up halfway. */
+/* What has to be freed even if libpng fails halfway. */
 struct png_reading {
   uint8_t *bytes;
   uint8_t **rows;
@@ -372,10 +372,10 @@ typedef struct texture_run {
   dipole_varying_query query;
   size_t wanted_count;
   const dipole_choice *wanted[WANTED_MAX];
-  image images[WANTED_MAX]; /* of the coefficients that are wanted */
+  image images[WANTED_MAX]; /* images of the wanted coefficients */
   float *lengths_mm;        /* [REQUEST_VALUES] */
-  uint64_t missing;         /* how many values have no medium */
-  uint64_t first_missing;   /* position of the first of them */
+  uint64_t missing;         /* number of values whose colour no medium has */
+  uint64_t first_missing;   /* index of the first of them */
   unsigned missing_status;
   double colour_least, colour_most;
 } texture_run;

@@ -34,11 +34,12 @@ static const struct choosing careful = {0.1, true, FIT_STARTS_MAX, 1e300};
 #define STEP_ROUNDED 1e-5
 #define STEP_MOST 2.0 /* longer steps are shortened to this */
 
-/* From a start by the inverse, the steps are Newton's, and the last but one is shorter than this. */
+/* A descent that starts from the inverse makes Newton steps; its step before the last is shorter
+ * than this. */
 #define STEP_NEWTON 1e-5
 
-/* Refining ends with a step that is shorter than the first, or one that is longer than the second,
- * as the table is not that far off. */
+/* Refining ends after a step shorter than STEP_EXACT. It fails at a step longer than STEP_FAR,
+ * because the table's error is smaller than that. */
 #define STEP_EXACT 1e-8
 #define STEP_FAR 0.1
 
@@ -67,8 +68,8 @@ struct fit_place fit_grid_place(const core_fit *fit, size_t i) {
 
 /* ---- chi-squared ----------------------------------------------------------------------------- */
 
-/* The parts of a residual (value - factor model) / error, or of the same for logarithms, and the
- * model's derivatives. */
+/* The terms of a residual (value - factor model) / error, or of its logarithmic form, and the
+ * derivatives of the model. */
 struct residual {
   double value;
   double model;
@@ -77,7 +78,7 @@ struct residual {
   double by_s;
 };
 
-/* Sets out[count] to the parts of the residuals, by the model's values and derivatives. */
+/* Sets out[count] to the terms of the residuals, from the model's values and derivatives. */
 static void take_apart(const core_fit *fit, struct fit_readings readings, bool logarithms,
                        const double *model, const double *by_r, const double *by_s,
                        struct residual *out) {
@@ -101,7 +102,7 @@ static void take_apart(const core_fit *fit, struct fit_readings readings, bool l
   }
 }
 
-/* Returns the factor, or its logarithm, that fits best. */
+/* Returns the factor that fits best, or its logarithm. */
 static double best_factor(const core_fit *fit, bool logarithms, const struct residual *parts) {
   double both = 0, square = 0;
   for (size_t i = 0; fit->free_factor && i < fit->count; i++) {
@@ -120,7 +121,7 @@ static void eliminate_factor(struct fit_quadratic *q) {
   }
 }
 
-/* Adds one residual's square and the products of its derivatives. */
+/* Adds a residual's square, and the products of its derivatives, to the quadratic form. */
 static void add(struct fit_quadratic *q, bool free_factor, const struct residual *part,
                 double off) {
   const double scale = part->weight * (q->logarithms ? 1 : q->factor);
@@ -394,7 +395,7 @@ static double least_chi_squared(const core_fit *fit, struct fit_readings reading
   return sum;
 }
 
-/* Keeps the best two minima that are not the same. */
+/* Inserts a minimum into the best two, unless it is the same as one of them. */
 static void keep(struct fit_minimum *best, struct fit_minimum *second,
                  const struct fit_minimum *now) {
   if (best->found && distance(best->at.place, now->at.place) < SAME) {
@@ -441,7 +442,7 @@ static void end_inverse(core_fit_search *s) {
   }
 }
 
-/* Whether the search for a second solution has to try more starts. */
+/* Returns whether the search for a second solution tries more starts. */
 static bool wants_care(const core_fit_search *s) {
   const size_t spare = fit_spare(s->fit);
   return spare <= FIT_SPARSE || !s->best.found || !s->best.settled ||
@@ -455,7 +456,7 @@ static void begin_round(core_fit_search *s) {
   s->stage = FIT_BEGINS_START;
 }
 
-/* Begins to descend from a medium of the grid: first with logarithms, if that can be done. */
+/* Begins to descend from a medium of the grid, with logarithms if possible. */
 static void begin_start(core_fit_search *s) {
   if (s->next_start == s->start_count) {
     const bool again = !s->is_careful && wants_care(s);
@@ -480,7 +481,7 @@ static void begin_minimum(core_fit_search *s) {
           : FIT_BEGINS_START;
 }
 
-/* Tries a step of the descent of this stage. */
+/* Tries one step of the descent. */
 static void go_down(core_fit_search *s) {
   const enum descended descended =
       descend(s->fit, s->readings, &s->descent, &s->now.at, &s->evaluations);
@@ -537,7 +538,7 @@ bool fit_search_step(core_fit_search *s) {
   return s->stage == FIT_IS_DONE;
 }
 
-/* Returns the error of readings, or that of ratios to those of the reference medium. */
+/* Returns the model error of readings, or of their ratios to the reference medium. */
 static double model_error_of(const core_fit *fit, const core_fit_solution *best) {
   const struct fit_model *model = &fit->model;
   const core_medium medium = {best->sigma_a_per_mm, best->sigma_s_prime_per_mm / (1 - model->g),
@@ -547,7 +548,8 @@ static double model_error_of(const core_fit *fit, const core_fit_solution *best)
                                   : (double)NAN;
 }
 
-/* Sets what follows from the best medium: the coefficients, their errors and the status. */
+/* Sets the part of the result that follows from the best medium: coefficients, standard errors and
+ * status. */
 static void set_best(const core_fit *fit, struct fit_readings readings,
                      const struct fit_quadratic *q, bool settled, core_fit_result *result) {
   const size_t spare = fit_spare(fit);

@@ -27,11 +27,10 @@ double fit_ln(double x) {
   return real_log(real_max(x, 0x1p-1022), 0);
 }
 
-enum { CHUNK = 256 }; /* nodes that are evaluated together */
+enum { CHUNK = 256 }; /* number of nodes that are evaluated together */
 
-/* Adds the nodes' values from position `start` on to their readings, the first of which is
- * *reading.
- */
+/* Adds the values of nodes `start` to start + n - 1, times their weights, to their readings.
+ * *reading: that of node `start`. */
 static void add_up(const struct fit_places *places, size_t start, size_t n, const double *values,
                    size_t *reading, double *sums) {
   for (size_t k = 0; k < n; k++) {
@@ -42,7 +41,7 @@ static void add_up(const struct fit_places *places, size_t start, size_t n, cons
   }
 }
 
-/* Multiplies R by the shares that are detected. */
+/* Multiplies R by the share of light within the aperture. */
 static void take_shares(const struct fit_model *model, const core_medium *medium, size_t n,
                         const double *ln_at, double *R) {
   const double scattering = medium->sigma_s_per_mm * (1 - medium->g);
@@ -82,7 +81,7 @@ double fit_model_error(const struct fit_model *model, const core_medium *medium,
                        : 0;
 }
 
-/* error: NULL, or receives the numerical error at all radii. */
+/* error: NULL, or set to the numerical error. */
 static core_fault evaluate(const struct fit_model *model, const core_medium *medium,
                            const struct fit_places *places, double *value, double *error) {
   core_profile profile;
@@ -99,7 +98,7 @@ static core_fault evaluate(const struct fit_model *model, const core_medium *med
   return fault;
 }
 
-/* Does what fit_values() does, by the table. */
+/* Does the same as fit_values(), from the table. */
 static void look_up(const struct fit_model *model, struct fit_place place,
                     const struct fit_places *places, double *value, double *by_ratio,
                     double *by_scattering) {
@@ -128,7 +127,7 @@ static void look_up(const struct fit_model *model, struct fit_place place,
   }
 }
 
-/* Does the same as fit_values(), by kernels that take a medium for each value. */
+/* Does the same as fit_values(), by kernels for media that vary. */
 static void vary(const struct fit_model *model, struct fit_place place,
                  const struct fit_places *places, double *value, double *by_ratio,
                  double *by_scattering) {

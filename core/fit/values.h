@@ -10,30 +10,31 @@
 
 struct fit_model {
   const core_isa *isa;
-  const fit_loops *loops; /* of the instruction set */
+  const fit_loops *loops; /* loops of the instruction set */
   unsigned model;
   unsigned moments;
   enum core_quantity quantity; /* the quantity of a reading: R or TRANSFER */
   double g;
   double eta;
-  double thickness_mm; /* 0: half spaces */
+  double thickness_mm; /* mm, thickness of the media; 0: half spaces */
   core_parameters parameters;
-  bool narrow;           /* whether only light within the aperture is detected */
-  fit_aperture aperture; /* for `g` and `eta`, if `narrow` is true */
-  fit_table *table;      /* NULL if the model varies, or if a parameter is a length */
-  bool varies;           /* whether `varying` evaluates the quantity for any medium */
-  core_varying varying;  /* owned */
+  bool narrow;           /* whether the design has an aperture */
+  fit_aperture aperture; /* valid if `narrow` */
+  /* NULL if the model has kernels for media that vary, or a parameter that is a length */
+  fit_table *table;
+  bool varies;          /* whether `varying` is valid: its kernels evaluate any medium */
+  core_varying varying; /* owned */
 };
 
 /* Where readings are taken: reading i is the sum of weight R(at) over the nodes from first[i] to
  * first[i + 1] - 1. */
 struct fit_places {
   size_t count;
-  size_t *first; /* [count + 1] */
+  size_t *first; /* [count + 1]: index of each reading's first node */
   double *at;
-  double *ln_at; /* of the least normal number for 0 */
+  double *ln_at; /* ln of `at`; for 0, ln of the least normal number */
   double *weight;
-  core_radii_range radii; /* of all distances; least above most for frequencies */
+  core_radii_range radii; /* range of all distances; least > most for frequencies */
 };
 
 /* A medium by ln(sigma_a / sigma_s') and ln(sigma_s'), sigma_s' in 1/mm. */
@@ -48,7 +49,7 @@ core_medium fit_medium(const struct fit_model *model, struct fit_place place);
 double fit_model_error(const struct fit_model *model, const core_medium *medium,
                        const struct fit_places *places);
 
-/* Returns ln x, or that of the least normal number if x is less. */
+/* Returns ln x; for smaller x, ln of the least normal number. */
 double fit_ln(double x);
 
 /* Evaluates the readings for a medium, whose g and eta need not be those of the model. model_error:
@@ -57,7 +58,7 @@ core_fault fit_values_of_medium(const struct fit_model *model, const core_medium
                                 const struct fit_places *places, double *value,
                                 double *model_error);
 
-/* Evaluates the readings of a medium whose profile has been prepared. */
+/* Evaluates the readings from a prepared profile of the medium. */
 void fit_values_of_profile(const struct fit_model *model, const core_profile *profile,
                            const struct fit_places *places, double *value);
 

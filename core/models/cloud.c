@@ -93,16 +93,16 @@ core_fault core_cloud_check(const core_inputs *inputs, core_radii_range *radii) 
  * because the table of Gaussians keeps a copy of this structure. */
 struct cloud {
   double sigma_t_prime;
-  double source; /* p, the strength of the source */
+  double source; /* p: strength of the source */
   double absorbed;
   double diffusion;
   double zb;
   double c_phi;
   double c_flux;
-  double thickness; /* d, or 0 for a half space */
+  double thickness; /* d: thickness of the slab; 0: a half space */
   /* distance from the source to the boundary where light leaves, or 0 for a beam */
   double y;
-  double transmitted; /* 1 for the far side of a slab, else 0 */
+  double transmitted; /* 1: light that the slab transmits; 0: reflected light */
   double rate;        /* rate of the slowest decay: sigma_a + D (pi / L)^2 */
 };
 _Static_assert(sizeof(struct cloud) <= GAUSSIANS_FAR_FIELDS * sizeof(double), "the table has room");

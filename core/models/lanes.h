@@ -25,7 +25,7 @@ enum lane_shared {
   LANES_C_BETWEEN, /* 4 A C_phi, which is 1 less a moment exactly */
   /* Burley's profile */
   LANES_SURFACE_ALBEDO, /* the parameter `surface_albedo`; -1: the better dipole's albedo is used */
-  LANES_FIT,            /* enum core_burley_fit; its better dipole has the switches above */
+  LANES_FIT,            /* enum core_burley_fit */
   /* colours */
   LANES_SPECULAR, /* for each light: the share that the surface reflects */
   LANES_COLOUR_LEAST = LANES_SPECULAR + CORE_LIGHTS,

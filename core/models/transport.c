@@ -274,7 +274,7 @@ core_medium core_transport_medium(const core_medium *medium, double gamma) {
   return other;
 }
 
-/* Whether a medium has several layers, or one of finite thickness. */
+/* Returns whether a medium has several layers, or one layer of finite thickness. */
 static bool is_layered(const core_inputs *inputs) {
   return inputs->medium->thickness_mm > 0;
 }
@@ -293,7 +293,7 @@ static double absorbed_of(const core_medium *medium) {
   return medium->sigma_a_per_mm / core_sigma_t_prime(medium);
 }
 
-/* The least and largest thickness of a layer in its mean free paths. */
+/* The smallest and the largest thickness of a layer, in mean free paths of the layer. */
 #define LAYER_LEAST 1e-4
 #define LAYER_MOST 1e4
 
@@ -506,13 +506,14 @@ double core_transport_slope_error(double g) {
 
 /* ---- sources ---------------------------------------------------------------------------------- */
 
-/* What a profile is made of: a medium of the table, a solution of one, or that of layers. */
+/* Where a profile comes from: a medium of the table, a solution of a half space, or a solution of
+ * layers. */
 struct source {
   const core_medium *medium;
   const transport_series *series;  /* of the table, else NULL */
   const solver_solution *solution; /* else NULL */
   const solver_layers *layers;     /* else NULL */
-  size_t side;                     /* of the layers */
+  size_t side; /* index of the side of the layers where light leaves: top or bottom */
   double kappa;
 };
 
@@ -559,7 +560,7 @@ static void look_at(const struct source *source, const double y[TERMS], double L
 /* The panels of a profile and the values of L at their Gauss points, in ascending order. */
 struct panels {
   struct segment {
-    double begin; /* in ln x */
+    double begin; /* difference in ln x */
     double width; /* of a panel */
     size_t panels;
   } segment[SEGMENTS]; /* those that are not used have no panels */
@@ -736,7 +737,8 @@ static core_fault fill_nothing(double sigma_t_prime, core_preparation *preparati
 
 /* ---- derivatives ------------------------------------------------------------------------------ */
 
-/* Steps of ln rho. Those of solutions outweigh what their errors differ by. */
+/* Differences of ln rho for the derivatives: of a medium of the table, and of a solved one. The
+ * second is larger, because the errors of two solutions differ by more. */
 #define LN_RATIO_STEP 0x1p-15
 #define LN_RATIO_STEP_SOLVED 0x1p-6
 enum { DIFFERENCE_LEVEL = 3 }; /* the solver's grid of both neighbours */
@@ -748,7 +750,7 @@ static core_medium neighbour_of(const core_medium *medium, double step) {
   return other;
 }
 
-/* Adds weight times the values of a neighbour to the derivative. */
+/* Adds weight times kappa and L of a neighbouring medium to the derivatives by ln rho. */
 static void add_neighbour(const struct source *source, const struct panels *panels, double weight,
                           struct by_ratio *by_ratio) {
   double L[TERMS], error[TERMS], R[TERMS];
@@ -771,7 +773,8 @@ static double known_albedo(const core_medium *medium) {
 static void look_up(const core_medium *medium, transport_series *series, struct source *source) {
   transport_table_look_up(transport_table_shipped(), known_albedo(medium), medium->g, medium->eta,
                           series);
-  /* finding kappa of anisotropic scattering takes a tenth of the time, and the series has it */
+  /* The series contains kappa. Computing it again for anisotropic scattering would take ten times
+   * as long as the look-up. */
   const bool found = !is_isotropic(medium) && absorbed_of(medium) >= LEAST_ABSORBED;
   *source = (struct source){
       .medium = medium, .series = series, .kappa = found ? series->kappa : kappa_of(medium)};
@@ -966,7 +969,8 @@ static core_fault find_albedo(const core_inputs *inputs, const core_medium *medi
   return fault;
 }
 
-/* Sets the errors of what was solved, where added.banded has been set. */
+/* Sets the errors by band of radii of a profile from a solution. It leaves the errors of a profile
+ * from the table. */
 static void set_errors(const struct source *source, const struct panels *panels,
                        core_preparation *preparation) {
   const double sigma_t_prime = core_sigma_t_prime(source->medium);
@@ -1012,8 +1016,9 @@ static core_fault prepare_solved(const core_inputs *inputs, const core_medium *m
 
 _Static_assert((int)CORE_LAYERS_MAX == (int)SOLVER_LAYERS_MAX, "the solver takes as many layers");
 
-/* Returns kappa with which a dipole's diffusion, (1 + kappa x) e^(-kappa x) / x^3, has the slope of R
- * at the end of the panels: of layers, R decays at a rate that depends on their thickness. */
+/* Returns the kappa with which R of a dipole in diffusion, (1 + kappa x) e^(-kappa x) / x^3, has
+ * the slope of R at the end of the panels. R of layers decays at a rate that depends on their
+ * thickness. */
 static double kappa_at(const struct source *source, double end) {
   const double step = 0.125;
   const double near = solved_at(source, real_exp_signed(end - step)).value;
@@ -1025,8 +1030,9 @@ static double kappa_at(const struct source *source, double end) {
              : 0;
 }
 
-/* Far away a solution of layers loses its digits: it is taken as far as they are known to this, if that
- * is not much nearer. */
+/* A solution of layers loses its digits far away. It is used up to the largest radius where its
+ * relative error is at most this, or up to the end if that radius is smaller than the end by
+ * MUCH_NEARER. */
 #define DIGITS_LEFT 0.05
 #define MUCH_NEARER 6.0 /* in ln x */
 

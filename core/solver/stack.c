@@ -333,7 +333,7 @@ static bool resolve(const struct work *by, const dense *to, const dense *a, cons
   return solver_dense_solve(&left, to);
 }
 
-/* Sets rho and M of layer i from its rb. */
+/* Sets the rho and M of layer i (see the head of this file) from its rb. */
 static bool climb_layer(const struct work *by, size_t i) {
   const struct tower *here = &by->tower[i];
   const size_t n = here->own.reflected.rows;

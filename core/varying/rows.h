@@ -58,8 +58,9 @@ void rows_free(rows *all);
 /* Returns the relative error of R of the rows against the table. */
 double rows_error(const rows *all);
 
-/* The least w = 1 - sqrt(1 - albedo) whose albedo the table covers. Rows a little below it are
- * extrapolated, as are those of s below that of the table's largest albedo. */
+/* Returns the least w = 1 - sqrt(1 - albedo) of an albedo that the table covers. Rows with a w
+ * slightly below it are extrapolated. So are rows with an s slightly below that of the largest
+ * albedo of the table. */
 double rows_w_least(const rows *all);
 
 /* Sets *row, which `all` has to outlive, to that of s = sqrt(sigma_a / sigma_t') and w = 1 - s, which both are given since one

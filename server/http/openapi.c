@@ -65,7 +65,7 @@ static void put_number(struct http_text *text, const char *key, double number) {
   http_text_number(text, key, number);
 }
 
-/* Adds what holds for a field of a request. */
+/* Adds the default and the range of a field of a request. */
 static void put_attributes(struct http_text *text, const schema_field *field) {
   if (field->list != NULL && field->usual > 0 && !depends_on_others(field)) {
     put_json(text, ",'default':%t", core_choice_by_id(field->list, (unsigned)field->usual)->name);
@@ -188,8 +188,9 @@ static void put_request(struct http_text *text, const schema_message *message, b
     put_list_field(text, message, in_query, name, NUMBER, part->about);
   }
   if (http_request_media(request) > 0) {
-    put_list_field(text, message, in_query, "medium", REFERENCE("Medium"),
-                   "names of /v1/media, of three channels each; else coefficients, or lists of layers");
+    put_list_field(
+        text, message, in_query, "medium", REFERENCE("Medium"),
+        "names of /v1/media, of three channels each; else coefficients, or lists of layers");
     for (field = FIELDS(medium); field->name != NULL; field++) {
       put_list_field(text, message, in_query, field->name, NUMBER, field->meaning);
     }
@@ -290,8 +291,8 @@ static void put_schemas(struct http_text *text) {
   put_json(text,
            ",'Number':{'nullable':true,'description':'A number; infinities are texts. In answers, "
            "null is a number that is not known.','oneOf':[{'type':'number'},"
-           "{'type':'string','enum':['inf','-inf']}]},'Medium':{'oneOf':[" STRING
-           "," REFERENCE("Coefficients") ",{'type':'array','items':" REFERENCE("Coefficients") "}]}");
+           "{'type':'string','enum':['inf','-inf']}]},'Medium':{'oneOf':[" STRING "," REFERENCE(
+               "Coefficients") ",{'type':'array','items':" REFERENCE("Coefficients") "}]}");
   put_object(text, "Coefficients", FIELDS(medium));
   begin_object(text, "Error", "");
   put_json(text, "'status':" STRING ",'text':" STRING);

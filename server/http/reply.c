@@ -132,7 +132,8 @@ static void write_quantity_units(struct http_text *text, unsigned wanted) {
   }
 }
 
-/* Writes a medium: the fields of its only layer, or a list of layers. Returns where it ends. */
+/* Writes a medium: the fields of its one layer, or a list of several layers. Returns the end of the
+ * layers in the request. */
 static const uint8_t *write_medium(struct http_text *text, const uint8_t *at,
                                    uint32_t layer_count) {
   if (layer_count == 1) {
@@ -171,7 +172,7 @@ static void write_channel(struct http_text *text, const uint8_t *payload, const 
   http_text_end(text, '}');
 }
 
-/* media: the layers in the request. */
+/* Writes the results of an eval. media: the layers in the request. */
 static void write_eval(struct http_text *text, const uint8_t *media, uint32_t layer_count,
                        const uint8_t *payload, size_t payload_bytes, bool drawn) {
   wire_eval_reply fixed;
@@ -322,7 +323,7 @@ static void write_varying(struct http_text *text, const uint8_t *payload, size_t
   http_text_end(text, ']');
 }
 
-/* media: the layers in the request. */
+/* Writes the results of a gather. media: the layers in the request. */
 static void write_gather(struct http_text *text, const uint8_t *media, uint32_t layer_count,
                          const uint8_t *payload) {
   wire_gather_reply fixed;
@@ -350,7 +351,7 @@ static void write_gather(struct http_text *text, const uint8_t *media, uint32_t 
   http_text_end(text, ']');
 }
 
-/* Returns how many layers each medium of a request has. */
+/* Returns the number of layers of each medium of a request. */
 static uint32_t layers_of(const schema_message *message, const uint8_t *request) {
   uint16_t count;
   memcpy(&count, request + message->request->parts[0].count[0].offset, sizeof count);

@@ -84,7 +84,8 @@ void batch_finish(struct batch *batch, struct stats *stats) {
 
 /* ---- finding repeated requests --------------------------------------------------------------- */
 
-/* The size of an eval request of one medium up to its radii, if its layers are as many as it says. */
+/* Returns the bytes of an eval request of one medium before its radii. fixed: its fixed part, which
+ * may state a wrong layer_count. */
 static size_t bytes_before_radii(const wire_eval_request *fixed) {
   return WIRE_BYTES_eval_request + fixed->layer_count * (size_t)WIRE_BYTES_medium +
          fixed->parameter_count * (size_t)WIRE_BYTES_parameter;

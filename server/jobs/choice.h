@@ -15,7 +15,7 @@ struct choice_state {
   double left;
   bool finest;    /* whether the channel is solved as exactly as the solver can */
   double least;   /* the least tolerance of the channels that miss it; 0 while none does */
-  uint32_t worst; /* the channel that it is of */
+  uint32_t worst; /* the channel with this tolerance */
 };
 
 /* Checks the tolerance and the media of a request of model EVAL_ANY_MODEL. */

@@ -189,7 +189,7 @@ static wire_error cut_reply(struct eval_job *eval, const struct options *options
   if (most == 0) {
     return no_room_in_part(eval, most_bytes);
   }
-  if ((fixed->radius_count - 1) / most >= UINT32_MAX) { /* 2^40 radii in parts of 256 */
+  if ((fixed->radius_count - 1) / most >= UINT32_MAX) { /* more than 2^40 radii in parts of 256 */
     return job_too_large(count_field(eval), UINT32_MAX * most, "radii in parts as small as these");
   }
   job_parts_cut(&eval->parts, fixed->radius_count, most);
@@ -320,8 +320,8 @@ static uint8_t *head_of(const struct eval_job *eval, size_t *bytes) {
   return eval->reply + eval_albedo_offset(0);
 }
 
-/* Keeps the albedos and errors of the first part for the others. If memory runs out, these find them
- * again. */
+/* Keeps the albedos and errors of the first part, which the other parts repeat. If memory runs out,
+ * the other parts compute them again. */
 static void keep_head(struct eval_job *eval) {
   size_t bytes;
   const uint8_t *head = head_of(eval, &bytes);
@@ -334,7 +334,8 @@ static void keep_head(struct eval_job *eval) {
 #define NOT_DRAWN                                                                                  \
   (unsigned)(CORE_QUANTITY_ALBEDO | CORE_QUANTITY_MODEL_ERROR | CORE_QUANTITY_MODEL_ERRORS)
 
-/* Returns a model error as replies have it: NAN if it is not known, which is INFINITY here. */
+/* Returns a model error as replies state it: NAN if it is not known. Here INFINITY means that it is
+ * not known. */
 static double as_told(double model_error) {
   return isinf(model_error) ? (double)NAN : model_error;
 }

@@ -53,7 +53,7 @@ enum job_outcome eval_job_begin_part(struct job *job, uint8_t *payload);
 enum job_outcome eval_job_step(struct job *job, uint64_t *budget);
 void eval_job_end(struct job *job);
 
-/* Returns the layers of a channel's medium. */
+/* Returns the layers of the medium of a channel. */
 static inline const core_medium *eval_job_medium(const struct eval_job *eval, uint32_t channel) {
   return &eval->request.media[(size_t)channel * eval->request.fixed.layer_count];
 }

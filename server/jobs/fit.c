@@ -29,9 +29,9 @@ struct fit_job {
   struct lookup lookup;      /* gets the prepared design */
   struct refining *refining; /* NULL as long as no set was refined */
   core_fit_search *search;   /* of the next set; NULL before the first */
-  bool searches;             /* whether that has begun */
+  bool searches;             /* whether `search` has begun */
   uint64_t evaluation_radii; /* the cost of an evaluation, in radii of a dipole */
-  uint64_t set_radii;        /* that of a set, on average */
+  uint64_t set_radii;        /* average cost of a set, in radii of a dipole */
   uint32_t residuals;        /* how many the reply has for each set: 0, or one for a reading */
   struct job_parts parts;    /* of the sets */
   uint64_t fitted;           /* how many sets of the part before index are a success */

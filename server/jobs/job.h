@@ -29,7 +29,7 @@ enum job_outcome {
   JOB_GOES_ON,   /* call step() */
   JOB_WAITS,     /* the job waits for a profile or for threads; call step() after on_ready() */
   JOB_NEXT_PART, /* the current part, if any, is complete; call begin_part() for the next one */
-  JOB_DONE,      /* the reply is complete after batch_finish() */
+  JOB_DONE,      /* the reply is complete when batch_finish() returns */
   JOB_REFUSED,   /* the reply ends here; the job's refusal says why */
 };
 
@@ -50,16 +50,16 @@ enum { JOB_DRAW_RADII = JOB_SLICE_RADII / 4 };
 /* The state that all jobs of one worker share. Only the thread of that worker uses it. */
 struct job_context {
   struct server *server;
-  struct budget *buffers; /* what jobs take memory from, beside their answers */
+  struct budget *buffers; /* budget of the memory of jobs, except for replies */
   uv_loop_t *loop;
   struct latency *latency;
   struct profiles profiles;
-  struct batch batch;     /* short requests whose values batch_finish() writes */
-  struct repeat repeat;   /* requests that later ones may repeat */
+  struct batch batch;     /* short requests that batch_finish() evaluates */
+  struct repeat repeat;   /* requests that later requests may repeat */
   uint64_t owed_radii;    /* work that all running jobs still have to do, in radii of a dipole */
   LIST_HEAD(, job) large; /* the running large jobs: at most two of each client */
   double radii[JOB_SLICE_RADII];  /* scratch for a slice's radii, if the reply does not hold them */
-  double numbers[JOB_DRAW_RADII]; /* scratch for a slice's random numbers */
+  double numbers[JOB_DRAW_RADII]; /* memory for the random numbers of a slice */
 };
 
 /* Why a detached job has to end early. */
@@ -69,9 +69,9 @@ struct job;
 
 /* A request that has arrived. */
 struct job_request {
-  const struct job_type *type; /* of the header; NULL: it is unknown */
+  const struct job_type *type; /* type of the request; NULL: unknown */
   const wire_header *header;
-  const uint8_t *payload; /* header->payload_bytes, at a multiple of 8 */
+  const uint8_t *payload; /* [header->payload_bytes], aligned to 8 */
   struct job_context *context;
   void (*on_ready)(void *owner); /* called on the worker's thread when a waiting job can go on */
   void *owner;
@@ -113,24 +113,24 @@ struct job_kind {
 struct job {
   const struct job_kind *kind;
   struct job_context *context;
-  wire_header header;  /* of the request */
+  wire_header header;  /* header of the request */
   uint64_t part_bytes; /* after JOB_NEXT_PART: the size of the part, for begin_part() */
   uint64_t owed_radii; /* work that this job still has to do, in radii of a dipole */
   bool rests;          /* whether context->owed_radii leaves this job out, see job_rest() */
   bool large;          /* whether the job is in context->large */
   LIST_ENTRY(job) in_large;
   enum latency_class latency;
-  struct lookup *lookup; /* gets the job's profiles; NULL if it has none */
+  struct lookup *lookup; /* lookup of the job's profiles; NULL if it has none */
   bool reader_idle;      /* whether all parts are sent, so that it may report progress */
-  wire_error refusal;    /* set with JOB_REFUSED */
+  wire_error refusal;    /* why the job is refused; set with JOB_REFUSED */
 };
 
 /* The parts of a reply that is a list of radii, sets, media or values. */
 struct job_parts {
-  uint64_t most;  /* entries in each part except the last */
+  uint64_t most;  /* number of entries in each part except the last */
   uint64_t first; /* position in the list of the current part's first entry */
-  uint64_t count; /* how many entries the current part has */
-  uint64_t left;  /* how many follow it */
+  uint64_t count; /* number of entries in the current part */
+  uint64_t left;  /* number of entries after the current part */
   uint32_t part;  /* number of the current part, from 0 */
   uint32_t part_count;
   uint8_t *payload; /* of the current part */
@@ -143,7 +143,7 @@ struct job_parts {
 bool job_parts_fit(struct job_parts *parts, struct job *job, const schema_payload *reply,
                    const void *start, unsigned unit, uint64_t total);
 
-/* Begins to write the current part there. */
+/* Begins to write the current part at `payload`. */
 static inline void job_part_begin(struct job_parts *parts, uint8_t *payload) {
   parts->payload = payload;
   parts->index = 0;
@@ -177,9 +177,9 @@ struct job_slot {
 /* A message, as proto/messages.def lists it. */
 struct job_type {
   const struct job_kind *kind;
-  enum role role;             /* that a client needs */
-  enum latency_class latency; /* of its requests */
-  enum stats_index requests;  /* what counts them */
+  enum role role;             /* role that a client needs */
+  enum latency_class latency; /* class in the statistics of latency */
+  enum stats_index requests;  /* counter of its requests */
 };
 
 /* Returns the message of a type; NULL if there is none. */

@@ -9,8 +9,8 @@ struct table {
   struct job job;
   table_request request;
   struct profiles_lookup lookup;
-  struct lookup surface;        /* in place of a profile */
-  struct profiles_lookup ruler; /* transport, if the model errors need it */
+  struct lookup surface;        /* lookup of a surface, instead of a profile */
+  struct profiles_lookup ruler; /* profile of transport, if model errors need it */
 };
 
 JOB_STRUCTURE(struct table, table_of)

@@ -283,7 +283,8 @@ static void on_poll(uv_poll_t *poll, int status, int events) {
   struct modbus_line *line = poll->data;
   if (status < 0) {
     lose_device(line, uv_strerror(status));
-  } else if (line->client.run_queue == NULL) { /* A turn of that queue reads them. */
+    /* A line in the run queue reads these bytes in its turn. */
+  } else if (line->client.run_queue == NULL) {
     read_more(line);
   }
 }

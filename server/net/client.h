@@ -55,7 +55,8 @@ struct client {
   STAILQ_ENTRY(client) in_inbox; /* before start() */
   struct cache_owner profiles;   /* its profiles that wait for slow preparation */
   LIST_ENTRY(client) in_clients;
-  struct client_queue *run_queue; /* that the client waits in for a turn; NULL: in none */
+  /* the queue in which the client waits for its turn; NULL: it waits in none */
+  struct client_queue *run_queue;
   TAILQ_ENTRY(client) in_run_queue;
   TAILQ_ENTRY(client) in_finish_queue;
   bool to_finish; /* whether the client is in the finish queue */

@@ -31,7 +31,8 @@ void handshakes_free(struct handshakes *handshakes);
  * not from --allow is closed at once. Listeners call this. */
 void handshakes_admit(struct server *server, int fd);
 
-/* The same for a socket of any protocol, whose peer may connect. */
+/* Like handshakes_admit(), but for any protocol, and for a peer that is known to be from an allowed
+ * address. done: gets the connection. */
 void handshakes_begin(struct server *server, int fd, handshakes_done *done);
 
 #endif

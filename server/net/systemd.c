@@ -11,7 +11,7 @@ int systemd_sockets(void) {
   const char *process = getenv("LISTEN_PID"), *count = getenv("LISTEN_FDS");
   char *end;
   if (process == NULL || count == NULL || strtol(process, NULL, 10) != (long)getpid()) {
-    return 0; /* They are meant for this process's parent. */
+    return 0; /* The sockets were passed to another process, for example the parent. */
   }
   const long passed = strtol(count, &end, 10);
   return *end != '\0' || passed < 0 || passed > SYSTEMD_SOCKETS_MAX ? -1 : (int)passed;

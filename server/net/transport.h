@@ -65,7 +65,8 @@ void transport_set_reading(struct transport *transport, bool wanted);
  * where they are until sent() is called. */
 uint64_t transport_write(struct transport *transport, const uv_buf_t *buffers, unsigned count);
 
-/* With TLS, calls received() with 0 bytes when all is read that has arrived, and reading is wanted. */
+/* With TLS, calls received() with 0 bytes if reading is wanted and all bytes that have arrived were
+ * read. */
 void transport_tell_empty(struct transport *transport);
 
 /* Ends the connection so that the peer can read the last reply. Closing a socket that has unread bytes

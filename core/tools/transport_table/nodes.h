@@ -36,7 +36,8 @@ typedef struct table_bytes {
 /* Makes a table with the part for isotropic scattering; D is 0. */
 table_bytes nodes_encode(const double *field, const table_sample samples[NODES]);
 
-/* Adds D to the table, and the totals, which it solves for. */
+/* Adds the table's part for g other than 0, D, and the totals of these media, for which it solves
+ * them. */
 void nodes_encode_difference(table_bytes *table, const table_sample samples[NODES_D]);
 
 /* Writes the fields and the checksum into a table's bytes. */
