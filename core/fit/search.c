@@ -122,8 +122,8 @@ static void eliminate_factor(struct fit_quadratic *q) {
 }
 
 /* Adds a residual's square, and the products of its derivatives, to the quadratic form. */
-static void add(struct fit_quadratic *q, bool free_factor, const struct residual *part,
-                double off) {
+static void add_residual(struct fit_quadratic *q, bool free_factor, const struct residual *part,
+                         double off) {
   const double scale = part->weight * (q->logarithms ? 1 : q->factor);
   const double r = scale * part->by_r, s = scale * part->by_s;
   const double f = free_factor ? scale * (q->logarithms ? 1 : part->model) : 0;
@@ -155,7 +155,7 @@ static bool expand_around(const core_fit *fit, struct fit_readings readings, boo
   for (size_t i = 0; i < fit->count; i++) {
     const double scaled = logarithms ? q->factor + parts[i].model : q->factor * parts[i].model;
     const double off = parts[i].weight * (parts[i].value - scaled);
-    add(q, fit->free_factor, &parts[i], off);
+    add_residual(q, fit->free_factor, &parts[i], off);
     if (residuals != NULL) {
       residuals[i] = off;
     }
@@ -396,8 +396,8 @@ static double least_chi_squared(const core_fit *fit, struct fit_readings reading
 }
 
 /* Inserts a minimum into the best two, unless it is the same as one of them. */
-static void keep(struct fit_minimum *best, struct fit_minimum *second,
-                 const struct fit_minimum *now) {
+static void keep_minimum(struct fit_minimum *best, struct fit_minimum *second,
+                         const struct fit_minimum *now) {
   if (best->found && distance(best->at.place, now->at.place) < SAME) {
     if (now->settled && (!best->settled || now->at.chi_squared < best->at.chi_squared)) {
       *best = *now;
@@ -497,7 +497,7 @@ static void go_down(core_fit_search *s) {
     s->now.settled = false;
     s->stage = FIT_BEGINS_MINIMUM;
   } else {
-    keep(&s->best, &s->second, &s->now);
+    keep_minimum(&s->best, &s->second, &s->now);
     s->stage = FIT_BEGINS_START;
   }
 }

@@ -82,8 +82,8 @@ double fit_model_error(const struct fit_model *model, const core_medium *medium,
 }
 
 /* error: NULL, or set to the numerical error. */
-static core_fault evaluate(const struct fit_model *model, const core_medium *medium,
-                           const struct fit_places *places, double *value, double *error) {
+static core_fault evaluate_readings(const struct fit_model *model, const core_medium *medium,
+                                    const struct fit_places *places, double *value, double *error) {
   core_profile profile;
   const core_fault fault = core_profile_prepare(&profile, model->isa, model->model, model->moments,
                                                 CORE_EVALUATOR_F64, medium, &model->parameters);
@@ -162,7 +162,7 @@ core_fault fit_values_of_medium(const struct fit_model *model, const core_medium
                                 const struct fit_places *places, double *value,
                                 double *model_error) {
   *model_error = fit_model_error(model, medium, places);
-  return evaluate(model, medium, places, value, NULL);
+  return evaluate_readings(model, medium, places, value, NULL);
 }
 
 static double step_for(double error) {
@@ -183,9 +183,9 @@ static core_fault differentiate(const struct fit_model *model, struct fit_place 
   const struct fit_place up = {place.ln_ratio + step.ln_ratio,
                                place.ln_scattering + step.ln_scattering};
   const core_medium low = fit_medium(model, down), high = fit_medium(model, up);
-  core_fault fault = evaluate(model, &high, places, slope, NULL);
+  core_fault fault = evaluate_readings(model, &high, places, slope, NULL);
   if (fault.field == NULL) {
-    fault = evaluate(model, &low, places, before, NULL);
+    fault = evaluate_readings(model, &low, places, before, NULL);
   }
   for (size_t i = 0; fault.field == NULL && i < places->count; i++) {
     slope[i] = (slope[i] - before[i]) / (2 * width);
@@ -206,7 +206,7 @@ core_fault fit_values(const struct fit_model *model, struct fit_place place,
   }
   const core_medium medium = fit_medium(model, place);
   double error;
-  core_fault fault = evaluate(model, &medium, places, value, &error);
+  core_fault fault = evaluate_readings(model, &medium, places, value, &error);
   if (fault.field == NULL && by_ratio != NULL) {
     const double step = step_for(error);
     const struct fit_place along = {step, 0}, across = {0, step};

@@ -677,9 +677,10 @@ struct by_ratio {
 /* Makes the table of a profile that scatters and adds it to the preparation, whose albedo has been
  * set. by_ratio: NULL if no derivatives are wanted. scaled: R has to have the albedo for its
  * energy. */
-static core_fault fill(const core_inputs *inputs, const core_medium *medium,
-                       const struct panels *panels, double kappa, const struct by_ratio *by_ratio,
-                       bool scaled, core_preparation *preparation) {
+static core_fault fill_table(const core_inputs *inputs, const core_medium *medium,
+                             const struct panels *panels, double kappa,
+                             const struct by_ratio *by_ratio, bool scaled,
+                             core_preparation *preparation) {
   const double sigma_t_prime = core_sigma_t_prime(medium), mfp_mm = 1 / sigma_t_prime;
   const double first = ENERGY_FIRST;
   /* Less than 1e-12 of the energy lies beyond 40 decay lengths 1 / kappa, or beyond 1e12 mean free
@@ -854,8 +855,8 @@ static core_fault prepare_stored(const core_inputs *inputs, const core_medium *m
   if (derivatives) {
     differentiate_table(medium, &panels, &by_ratio);
   }
-  return fill(inputs, medium, &panels, source.kappa, derivatives ? &by_ratio : NULL, !isotropic,
-              preparation);
+  return fill_table(inputs, medium, &panels, source.kappa, derivatives ? &by_ratio : NULL,
+                    !isotropic, preparation);
 }
 
 /* ---- by the solver ---------------------------------------------------------------------------- */
@@ -1008,8 +1009,8 @@ static core_fault prepare_solved(const core_inputs *inputs, const core_medium *m
     return fault;
   }
   set_errors(&source, &panels, preparation);
-  return fill(inputs, medium, &panels, source.kappa, derivatives ? &by_ratio : NULL, false,
-              preparation);
+  return fill_table(inputs, medium, &panels, source.kappa, derivatives ? &by_ratio : NULL, false,
+                    preparation);
 }
 
 /* ---- layers ----------------------------------------------------------------------------------- */
@@ -1079,7 +1080,7 @@ static core_fault prepare_layers(const core_inputs *inputs, double tolerance,
     preparation->albedo = fmin(total->value, 1);
     preparation->added.banded[CORE_MODEL_ERROR_BANDS] = total->error / fmax(total->value, 1e-300);
     set_errors(&source, &panels, preparation);
-    fault = fill(inputs, inputs->medium, &panels, source.kappa, NULL, false, preparation);
+    fault = fill_table(inputs, inputs->medium, &panels, source.kappa, NULL, false, preparation);
   }
   solver_layers_free(solution);
   return fault;
