@@ -1,4 +1,4 @@
-/* dipoled: starts the workers and the listeners, and runs until it is told to stop. */
+/* dipoled: starts the workers and the listeners, and runs until a signal stops it. */
 #include <errno.h>
 #include <signal.h>
 #include <stdio.h>
@@ -60,7 +60,7 @@ static void log_abandoned(const struct server *server, uint64_t workers) {
 }
 
 /* Stops the daemon because of a signal, or, if that is 0, because nothing is left to serve. */
-static void stop(struct daemon *daemon, int signal_number) {
+static void stop_daemon(struct daemon *daemon, int signal_number) {
   if (daemon->stopping) {
     return;
   }
@@ -109,12 +109,12 @@ static void on_signal(uv_signal_t *handle, int signal_number) {
   if (signal_number == SIGHUP && daemon->server.tls != NULL) {
     tls_reload(daemon->server.tls);
   } else {
-    stop(daemon, signal_number);
+    stop_daemon(daemon, signal_number);
   }
 }
 
 static void on_inherited_closed(uv_async_t *handle) {
-  stop(handle->data, 0);
+  stop_daemon(handle->data, 0);
 }
 
 /* ---- starting -------------------------------------------------------------------------------- */
@@ -386,7 +386,7 @@ static void raise_descriptor_limit(void) {
   }
 }
 
-static int run(struct daemon *daemon) {
+static int run_daemon(struct daemon *daemon) {
   struct server *server = &daemon->server;
   if (!set_log_level(&server->options) || !choose_isa(server) ||
       !access_read_option("allow", &server->options.allow, &access_anyone, &server->allow) ||
@@ -412,7 +412,7 @@ static int run(struct daemon *daemon) {
       systemd_tell("READY=1\nSTATUS=Serving.");
     }
   } else {
-    stop(daemon, 0);
+    stop_daemon(daemon, 0);
   }
   uv_run(&daemon->loop, UV_RUN_DEFAULT);
   uv_loop_close(&daemon->loop);
@@ -441,7 +441,7 @@ int main(int argc, char **argv) {
   int status = EXIT_SUCCESS;
   switch (options_read(argc, argv, &daemon.server.options)) {
   case OPTIONS_RUN:
-    status = run(&daemon);
+    status = run_daemon(&daemon);
     break;
   case OPTIONS_EXIT_OK:
     status = standard_flush("dipoled") ? EXIT_SUCCESS : EXIT_FAILURE;

@@ -41,7 +41,7 @@ static const struct description descriptions[] = {
 
 enum { OPTIONS = sizeof descriptions / sizeof descriptions[0], HELP = OPTIONS, VERSION };
 
-static void *place(struct options *options, const struct description *option) {
+static void *option_place(struct options *options, const struct description *option) {
   return (char *)options + option->offset;
 }
 
@@ -83,17 +83,18 @@ static bool set_flag(const struct description *option, const char *text, bool *f
   return true;
 }
 
-static bool set(struct options *options, const struct description *option, const char *text) {
+static bool set_option(struct options *options, const struct description *option,
+                       const char *text) {
   switch (option->kind) {
   case NUMBER:
-    return set_number(option, text, place(options, option));
+    return set_number(option, text, option_place(options, option));
   case TEXT:
-    *(const char **)place(options, option) = text;
+    *(const char **)option_place(options, option) = text;
     return true;
   case LIST:
-    return add_item(option, text, place(options, option));
+    return add_item(option, text, option_place(options, option));
   case FLAG:
-    return set_flag(option, text, place(options, option));
+    return set_flag(option, text, option_place(options, option));
   }
   return false;
 }
@@ -127,7 +128,7 @@ static void name_variable(const struct description *option, char name[VARIABLE_B
 
 static bool read_environment_list(struct options *options, const struct description *option,
                                   const char *text) {
-  struct options_list *list = place(options, option);
+  struct options_list *list = option_place(options, option);
   list->copy = strdup(text);
   if (list->copy == NULL) {
     return false;
@@ -136,7 +137,7 @@ static bool read_environment_list(struct options *options, const struct descript
   const char *separators = option->separators;
   for (char *item = strtok_r(rest, separators, &rest); item != NULL;
        item = strtok_r(NULL, separators, &rest)) {
-    if (!set(options, option, item)) {
+    if (!set_option(options, option, item)) {
       return false;
     }
   }
@@ -201,7 +202,7 @@ static bool read_environment(struct options *options, bool is_private) {
       continue;
     }
     const bool good = option->kind == LIST ? read_environment_list(options, option, text)
-                                           : set(options, option, text);
+                                           : set_option(options, option, text);
     if (!good) {
       fprintf(stderr, "dipoled: the value is that of the environment variable %s\n", name);
       return false;
@@ -307,14 +308,14 @@ static enum options_outcome read_command_line(int argc, char **argv, struct opti
     }
     const struct description *option = &descriptions[which];
     if (option->kind == LIST && !begun[which]) {
-      ((struct options_list *)place(options, option))->count = 0;
+      ((struct options_list *)option_place(options, option))->count = 0;
     } else if (option->kind == TEXT && begun[which]) {
       fprintf(stderr, "dipoled: --%s is given twice, and takes one %s\n", option->name,
               option->value);
       return OPTIONS_EXIT_USAGE;
     }
     begun[which] = true;
-    if (!set(options, option, optarg)) {
+    if (!set_option(options, option, optarg)) {
       return OPTIONS_EXIT_USAGE;
     }
   }
@@ -329,7 +330,7 @@ enum options_outcome options_read(int argc, char **argv, struct options *options
   *options = (struct options){0};
   for (int i = 0; i < OPTIONS; i++) {
     if (descriptions[i].kind == NUMBER) {
-      *(uint64_t *)place(options, &descriptions[i]) = descriptions[i].default_value;
+      *(uint64_t *)option_place(options, &descriptions[i]) = descriptions[i].default_value;
     }
   }
   bool is_private = false;

@@ -168,7 +168,7 @@ static void add_rows(mci_rows *rows, const mci_run *run, const solver_layers *so
   }
 }
 
-static bool evaluate(mci_file *in, const mci_run *run, double tolerance, mci_rows *rows) {
+static bool evaluate_run(mci_file *in, const mci_run *run, double tolerance, mci_rows *rows) {
   const core_isa *isa = core_isa_select(NULL);
   solver_layers *solution;
   solver_balance balance;
@@ -213,9 +213,9 @@ int cli_mci(const cli_settings *settings) {
               read_numbers(&in, 1, &runs, "the number of runs");
   for (double i = 0; good && i < runs; i++) {
     mci_run run = {0};
-    good =
-        read_run(&in, &run) &&
-        evaluate(&in, &run, tolerance->text != NULL ? tolerance->value : TOLERANCE_DEFAULT, &rows);
+    good = read_run(&in, &run) &&
+           evaluate_run(&in, &run, tolerance->text != NULL ? tolerance->value : TOLERANCE_DEFAULT,
+                        &rows);
   }
   fclose(in.file);
   if (good) {

@@ -12,7 +12,7 @@ static size_t value_bytes(const struct batch_group *group) {
   return core_evaluator_bytes(group->slot->profile.evaluator);
 }
 
-static void evaluate(struct batch_group *group, struct stats *stats) {
+static void evaluate_group(struct batch_group *group, struct stats *stats) {
   double values[BATCH_RADII];
   const core_profile *profile = &group->slot->profile;
   const size_t bytes_each = value_bytes(group);
@@ -37,14 +37,14 @@ static void evaluate(struct batch_group *group, struct stats *stats) {
 /* Evaluates a group, which is then free for another profile. */
 static void clear(struct batch_group *group, struct stats *stats) {
   if (group->slot != NULL) {
-    evaluate(group, stats);
+    evaluate_group(group, stats);
     group->slot->pins--;
     group->slot = NULL;
   }
 }
 
-static struct batch_group *find(struct batch *batch, struct stats *stats,
-                                struct profiles_slot *slot, enum core_quantity quantity) {
+static struct batch_group *find_group(struct batch *batch, struct stats *stats,
+                                      struct profiles_slot *slot, enum core_quantity quantity) {
   for (size_t i = 0; i < BATCH_GROUPS; i++) {
     if (batch->groups[i].slot == slot && batch->groups[i].quantity == quantity) {
       return &batch->groups[i];
@@ -65,9 +65,9 @@ bool batch_take(struct batch *batch, struct stats *stats, struct profiles_place 
       profiles_at(place) == NULL) {
     return false;
   }
-  struct batch_group *group = find(batch, stats, place.slot, quantity);
+  struct batch_group *group = find_group(batch, stats, place.slot, quantity);
   if (group->piece_count == BATCH_PIECES || group->radius_count + n > BATCH_RADII) {
-    evaluate(group, stats);
+    evaluate_group(group, stats);
   }
   const size_t bytes = value_bytes(group);
   memcpy((uint8_t *)group->radii + group->radius_count * bytes, r, n * bytes);

@@ -1,5 +1,5 @@
 /* Monte Carlo: a detached job, so other requests of its connection go on. Threads of mc_pool.h walk
- * its photons. It answers with reports of progress and, in the end, with its table of results. */
+ * its photons. It replies with reports of progress and, at the end, with its table of results. */
 #include <stdlib.h>
 #include <string.h>
 
@@ -39,7 +39,7 @@ static wire_error no_memory(void) {
                          JOB_RETRY_AFTER_MS);
 }
 
-static enum job_outcome start(struct job *job, const struct job_request *request) {
+static enum job_outcome start_mc(struct job *job, const struct job_request *request) {
   struct mc *mc = of(job);
   mc->news = malloc(sizeof *mc->news);
   if (mc->news == NULL || uv_async_init(job->context->loop, &mc->news->wake, on_wake) != 0) {
@@ -60,7 +60,7 @@ static enum job_outcome start(struct job *job, const struct job_request *request
   return JOB_GOES_ON;
 }
 
-static enum job_outcome step(struct job *job, uint64_t *budget) {
+static enum job_outcome step_mc(struct job *job, uint64_t *budget) {
   (void)budget;
   struct mc *mc = of(job);
   switch (mc_job_look(mc->walk, &mc->progress)) {
@@ -98,19 +98,19 @@ static enum job_outcome begin_part(struct job *job, uint8_t *payload) {
   return JOB_GOES_ON;
 }
 
-static void stop(struct job *job, enum job_stop why) {
+static void stop_mc(struct job *job, enum job_stop why) {
   mc_job_end(of(job)->walk, why == JOB_CANCELLED ? MC_CANCELLED : MC_STOPPED);
 }
 
-static void end(struct job *job) {
+static void end_mc(struct job *job) {
   struct mc *mc = of(job);
   mc_job_drop(mc->walk);
   uv_close((uv_handle_t *)&mc->news->wake, on_closed);
 }
 
 const struct job_kind job_kind_MC = {.detached = true,
-                                     .start = start,
+                                     .start = start_mc,
                                      .begin_part = begin_part,
-                                     .step = step,
-                                     .end = end,
-                                     .stop = stop};
+                                     .step = step_mc,
+                                     .end = end_mc,
+                                     .stop = stop_mc};

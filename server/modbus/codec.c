@@ -42,7 +42,7 @@ static const struct function {
 };
 
 /* Finds a function by its number. Returns NULL if it is unknown. */
-static const struct function *find(unsigned number) {
+static const struct function *find_function(unsigned number) {
   for (size_t i = 0; i < sizeof functions / sizeof functions[0]; i++) {
     if (functions[i].number == number) {
       return &functions[i];
@@ -61,12 +61,12 @@ static size_t counted(const uint8_t *pdu, size_t bytes, size_t fixed, size_t val
 }
 
 size_t modbus_pdu_bytes(const uint8_t *pdu, size_t bytes) {
-  const struct function *function = bytes > 0 ? find(pdu[0]) : NULL;
+  const struct function *function = bytes > 0 ? find_function(pdu[0]) : NULL;
   return function == NULL ? 0 : counted(pdu, bytes, function->request, function->request_values);
 }
 
 bool modbus_pdu_writes(unsigned number) {
-  const struct function *function = find(number);
+  const struct function *function = find_function(number);
   return function != NULL && function->here == WRITES;
 }
 
@@ -122,7 +122,7 @@ static bool take_counts(const uint8_t *pdu, struct modbus_request *request) {
 
 unsigned modbus_pdu_parse(const uint8_t *pdu, size_t bytes, struct modbus_request *request) {
   *request = (struct modbus_request){.function = pdu[0]};
-  const struct function *function = find(request->function);
+  const struct function *function = find_function(request->function);
   if (function == NULL || function->here == ELSEWHERE ||
       (request->function == MODBUS_FC_READ_DEVICE_ID && bytes > 1 && pdu[1] != 0x0e)) {
     return MODBUS_EXCEPTION_ILLEGAL_FUNCTION;
@@ -164,7 +164,7 @@ static size_t reply_pdu_bytes(const uint8_t *pdu, size_t bytes) {
   if (bytes > 0 && pdu[0] >= 0x80) {
     return 2;
   }
-  const struct function *function = bytes > 0 ? find(pdu[0]) : NULL;
+  const struct function *function = bytes > 0 ? find_function(pdu[0]) : NULL;
   return function == NULL || function->reply == 0
              ? 0
              : counted(pdu, bytes, function->reply, function->reply_values);

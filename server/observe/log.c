@@ -76,8 +76,8 @@ static void add_count(struct line *line, const char *key, uint64_t count) {
   }
 }
 
-static void fill(struct line *line, const struct timespec *now, enum log_level level,
-                 const char *format, va_list arguments) {
+static void fill_line(struct line *line, const struct timespec *now, enum log_level level,
+                      const char *format, va_list arguments) {
   char text[512];
   struct tm utc;
   vsnprintf(text, sizeof text, format, arguments);
@@ -111,7 +111,7 @@ static void print(enum log_level level, bool by_peer, const char *format, va_lis
     queue.dropped_before++;
   } else {
     struct line *line = &queue.lines[(queue.first + queue.count++) % LINES];
-    fill(line, &now, level, format, arguments);
+    fill_line(line, &now, level, format, arguments);
     if (by_peer) {
       add_count(line, "suppressed", queue.suppressed);
       queue.suppressed = 0;
