@@ -25,9 +25,9 @@ struct eval_job {
   const void *(*draw_radii)(const struct eval_job *eval, size_t n);
   core_draw draw; /* the rule for the numbers of a sample */
 
-  eval_layout layout;     /* of the current part */
+  eval_layout layout;     /* layout of the current part of the reply */
   uint8_t *reply;         /* [layout.payload_bytes], payload of the current part */
-  struct job_parts parts; /* of the radii */
+  struct job_parts parts; /* the reply's parts, which count radii */
   uint8_t *head;          /* albedos and errors of a first part that is not the last; else NULL */
 
   uint32_t channel;              /* the channel that is being evaluated */

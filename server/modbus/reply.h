@@ -10,8 +10,9 @@
 
 /* What a master may do. */
 struct modbus_permissions {
-  bool write;                  /* whether it may use functions that write */
-  struct roles_rights *rights; /* by its certificate; NULL: nothing else limits it */
+  bool write; /* whether the master may use functions that write */
+  /* the rights by the master's certificate; NULL: there are no such limits */
+  struct roles_rights *rights;
 };
 
 /* Carries out a request to the unit of this number, which is 0 if there is no such unit, and writes
