@@ -1,6 +1,7 @@
 /* dipole bake: kernels, lengths and tables of a medium for engines, each with its error. */
 #include <math.h>
 #include <string.h>
+#include <strings.h>
 
 #include "clients/cli/edge.h"
 #include "clients/cli/options.h"
@@ -20,7 +21,8 @@ static const cli_option options[] = {
                "of kernel: one range for all channels, the largest, so that a tap is a float4 of "
                "three weights and an offset"),
     CLI_OPTION(COUNT, size, "64", "of lut: numbers along each axis; of colour-map: colours"),
-    CLI_OPTION(TEXT, light, "beam", "of colour-map: the light of the colours, beam or diffuse"),
+    CLI_OPTION(TEXT, light, "beam",
+               "of colour-map and formula: the light of the colours, beam or diffuse"),
     {0},
 };
 
@@ -307,6 +309,82 @@ static int make_colour_map(bake *of) {
   return CLI_OK;
 }
 
+/* ---- the closed form ------------------------------------------------------------------------- */
+
+enum { TERMS = 6, SUMS = 3 };
+
+/* The closed form of core/COLOURS.md for one light. */
+typedef struct formula {
+  const char *light;
+  double error;
+  double constants[SUMS][TERMS]; /* of a, b and c */
+} formula;
+
+#define ROW(...)                                                                                   \
+  { __VA_ARGS__ }
+#define FORMULA(LIGHT, error, a, b, c) {#LIGHT, error, {ROW a, ROW b, ROW c}},
+static const formula formulas[] = {
+#include "clients/cli/formula.def"
+};
+
+/* How a language writes a function: the line before its body, what begins and ends a statement, and
+ * what comes last. */
+static const struct language {
+  const char *name, *comment, *head, *number, *end, *last;
+} languages[] = {
+    {"c", "// ", "#include <math.h>\n\nstatic float scattered(float C, float g, float eta) {\n",
+     "  const float ", ";\n", "}\n"},
+    {"glsl", "// ", "float scattered(float C, float g, float eta) {\n", "  float ", ";\n", "}\n"},
+    {"hlsl", "// ", "float scattered(float C, float g, float eta) {\n", "  float ", ";\n", "}\n"},
+    {"osl", "// ", "float scattered(float C, float g, float eta) {\n", "  float ", ";\n", "}\n"},
+    {"python", "# ", "def scattered(C, g, eta):\n", "    ", "\n", ""},
+};
+
+static int write_formula(const cli_settings *settings) {
+  static const char *const terms[TERMS] = {"", " * g", " * g * g", " * e", " * e * g", " * e * e"};
+  const char *name = settings->format != NULL ? settings->format : "c";
+  const struct language *to = NULL;
+  const formula *from = NULL;
+  for (size_t i = 0; i < sizeof languages / sizeof languages[0]; i++) {
+    to = strcmp(languages[i].name, name) == 0 ? &languages[i] : to;
+  }
+  for (size_t i = 0; i < sizeof formulas / sizeof formulas[0]; i++) {
+    from = strcasecmp(formulas[i].light, settings->light) == 0 ? &formulas[i] : from;
+  }
+  if (to == NULL || from == NULL) {
+    return cli_fail_usage("--format: one of c, glsl, hlsl, osl, python; --light: beam or diffuse");
+  }
+  const bool python = strcmp(name, "python") == 0;
+  const char *root = python                   ? "(u * u - 4.0 * q * (1.0 - C)) ** 0.5"
+                     : strcmp(name, "c") == 0 ? "sqrtf(u * u - 4.0f * q * (1.0f - C))"
+                                              : "sqrt(u * u - 4.0 * q * (1.0 - C))";
+  printf("%sThe single-scattering albedo of a half space that shows the linear colour C in %s "
+         "light, per\n"
+         "%spower that entered, behind a smooth interface of the index eta (1.3 to 1.6), for g 0 "
+         "to 0.9.\n"
+         "%scolour_error %g (dipoled " DIPOLED_VERSION ", by transport; core/COLOURS.md)\n%s",
+         to->comment, settings->light, to->comment, to->comment, from->error, to->head);
+  const char *f = strcmp(name, "c") == 0 ? "f" : "";
+  printf("%se = eta - 1.45%s%s", to->number, f, to->end);
+  for (int k = 0; k < SUMS; k++) {
+    printf("%s%c = ", to->number, "abc"[k]);
+    for (int i = 0; i < TERMS; i++) {
+      const double constant = from->constants[k][i];
+      printf("%s%.5f%s%s",
+             i == 0         ? constant < 0 ? "-" : ""
+             : constant < 0 ? " - "
+                            : " + ",
+             fabs(constant), f, terms[i]);
+    }
+    printf("%s", to->end);
+  }
+  printf("%sq = a - c * C%s%su = 1.0%s + a + b * C%s", to->number, to->end, to->number, f, to->end);
+  printf("%ss = 2.0%s * (1.0%s - C) / (u + %s)%s", to->number, f, f, root, to->end);
+  printf("%sreturn (1.0%s - s * s) / (1.0%s - g * s * s)%s%s", python ? "    " : "  ", f, f,
+         to->end, to->last);
+  return CLI_OK;
+}
+
 /* ---- writing --------------------------------------------------------------------------------- */
 
 static void put_facts(const sheet *of, const char *before) {
@@ -398,6 +476,9 @@ static int write_colours(const sheet *of, bool cube) {
 }
 
 static int write_sheet(const sheet *of, const char *format) {
+  if (strcmp(format, "glsl") == 0 || strcmp(format, "osl") == 0 || strcmp(format, "python") == 0) {
+    return cli_fail_usage("--format %s: of formula alone", format);
+  }
   if (strcmp(format, "spi1d") == 0 || strcmp(format, "cube") == 0) {
     return write_colours(of, format[0] == 'c');
   }
@@ -424,7 +505,8 @@ static const struct kind {
 } kinds[] = {{"kernel", make_kernel, true},
              {"burley", make_burley, true},
              {"lut", make_lut, true},
-             {"colour-map", make_colour_map, false}};
+             {"colour-map", make_colour_map, false},
+             {"formula", NULL, false}};
 
 static const struct kind *kind_of(const cli_settings *settings) {
   for (size_t i = 0; settings->operand != NULL && i < sizeof kinds / sizeof kinds[0]; i++) {
@@ -435,10 +517,14 @@ static const struct kind *kind_of(const cli_settings *settings) {
   return NULL;
 }
 
+static bool is_local(const cli_settings *settings) {
+  return kind_of(settings)->make == NULL;
+}
+
 static int check(cli_settings *settings) {
   const struct kind *kind = kind_of(settings);
   if (kind == NULL) {
-    return cli_fail_usage("give a KIND: kernel, burley, lut or colour-map");
+    return cli_fail_usage("give a KIND: kernel, burley, lut, colour-map or formula");
   }
   if (settings->size.value < SIDE_MIN || settings->size.value > SIDE_MAX) {
     return cli_fail_usage("--size: %d to %d", SIDE_MIN, SIDE_MAX);
@@ -484,6 +570,9 @@ static int take_media(bake *of) {
 
 static int run_bake(const cli_settings *settings, dipole_client *client) {
   const struct kind *kind = kind_of(settings);
+  if (kind->make == NULL) {
+    return write_formula(settings);
+  }
   bake of = {.settings = settings, .client = client};
   of.profile.info = dipole_get_info(client);
   of.sheet.kind = kind->name;
@@ -509,15 +598,19 @@ const cli_command cli_command_bake = {
         "texels, over that inside (pre-integrated, Penner 2011, but over the whole sphere)\n"
         "colour-map: the single-scattering albedo of colours 0 to 1, for --g, --eta (default: 1.5) "
         "and --light\n"
+        "formula: the same as a function of the colour, g (0 to 0.9) and eta (1.3 to 1.6), for c, "
+        "glsl, hlsl, osl and python\n"
         "Values are by transport, linear, and for weights of 1 in each channel: multiply by "
         "`colour`. Each file says its errors. c is an array of C, hlsl one of float4 with "
         "--common.",
-    .formats = "c,hlsl,csv,json,spi1d,cube",
+    .formats = "c,hlsl,csv,json,spi1d,cube,glsl,osl,python",
     .options = {options, cli_medium_options},
     .check = check,
+    .is_local = is_local,
     .run = run_bake,
     .examples = "  dipole bake kernel --medium skin1 --eta 1.4\n"
                 "  dipole bake kernel --medium skin1 --eta 1.4 --common --format hlsl\n"
                 "  dipole bake burley --medium marble --format json\n"
-                "  dipole bake colour-map --eta 1.5 --format spi1d\n",
+                "  dipole bake colour-map --eta 1.5 --format spi1d\n"
+                "  dipole bake formula --format glsl\n",
 };

@@ -12,7 +12,7 @@ $(BUILD)/picture: $(OBJ)/clients/c/examples/picture.o $(BUILD)/libdipole.a
 $(BUILD)/picture: LIBS = $(TLS_LIBS)
 PROGRAMS += $(addprefix $(BUILD)/,transport-table apertures picture)
 
-.PHONY: tables reference tradeoff apertures figures picture gather-figure fit-bias
+.PHONY: tables reference tradeoff apertures figures picture gather-figure fit-bias colour-errors
 
 # On a machine that does little else: it times what is chosen by cost.
 tradeoff: ## speed against accuracy, in build/tradeoff, and core/costs.def (minutes)
@@ -55,6 +55,13 @@ gather-figure: $(BUILD)/bench $(BUILD)/tests/accuracy/test_gather ## build/figur
 	$(BUILD)/bench --long gather > $(BUILD)/figures/gather.tsv
 	$(BUILD)/tests/accuracy/test_gather > $(BUILD)/figures/gather.txt
 	$(PYTHON) core/tools/gather.py $(BUILD)/figures/gather.tsv $(BUILD)/figures/gather.txt core/tools/gather.svg
+
+# With FIT=fit also the constants of the closed form, clients/cli/formula.def.
+colour-errors: ## formulas from colours to albedos against transport: core/COLOURS.md and a figure (minutes)
+	@sh .ci/install-packages figures
+	@$(MAKE) --no-print-directory -j2 $(BUILD)/dipoled
+	DIPOLED=private:$(BUILD)/dipoled $(PYTHON) core/tools/colours.py $(BUILD)/colour-errors $(FIT)
+	cp $(BUILD)/colour-errors/colours.svg core/tools/
 
 fit-bias: ## what diffusion models make of readings, beside transport: a table and a figure
 	@sh .ci/install-packages demo figures

@@ -4,8 +4,12 @@ with the profile R(r) of the medium that the file names."""
 from __future__ import annotations
 
 import json
+import re
+import subprocess
+from pathlib import Path
 
 import numpy as np
+import PyOpenColorIO
 import pytest
 from command_line import dipole
 
@@ -119,15 +123,21 @@ def test_a_sphere_is_lit_as_the_table_says(client, medium):
 
 
 @pytest.mark.parametrize("light", ["beam", "diffuse"])
-def test_a_map_of_colours_shows_them(client, light):
+def test_a_map_of_colours_shows_them(client, light, tmp_path):
     asked = ["--g", "0.5", "--eta", "1.4", "--light", light, "--size", "128"]
     text = dipole("bake", "colour-map", *asked, "--format", "spi1d").stdout
     head, values, tail = text.replace("}", "{").split("{")
     assert head.split() == "Version 1 From 0 1 Length 128 Components 1".split()
     albedos = np.array(values.split(), float)
     stated = float(tail.split("colour_error ")[1].split()[0])
-    cube = dipole("bake", "colour-map", *asked, "--format", "cube").stdout.splitlines()
-    assert [float(line.split()[0]) for line in cube if line[0].isdigit()] == list(albedos)
+    cube = dipole("bake", "colour-map", *asked, "--format", "cube").stdout
+    assert [float(line.split()[0]) for line in cube.splitlines() if line[0].isdigit()] == list(albedos)
+    for name, written in (("map.spi1d", text), ("map.cube", cube)):
+        (tmp_path / name).write_text(written)
+        transform = PyOpenColorIO.FileTransform(str(tmp_path / name), interpolation=PyOpenColorIO.INTERP_LINEAR)
+        loaded = PyOpenColorIO.Config.CreateRaw().getProcessor(transform).getDefaultCPUProcessor()
+        places = [0.2, 0.5, 0.9]
+        assert loaded.applyRGB(places) == pytest.approx(np.interp(places, np.linspace(0, 1, 128), albedos), abs=1e-5)
     # What media of the interpolated albedos show, by the inverse of the daemon's own map.
     colours = np.concatenate([np.linspace(0.02, 0.98, 2000), 1 - np.geomspace(0.0199, 1e-6, 2000)])
     true = client.varying("transport", colour=colours, length=1.0, given="extinction-path", light=light, g=0.5,
@@ -142,6 +152,61 @@ def test_a_map_of_colours_shows_them(client, light):
     (["kernel"], "--medium"), (["halo", "--medium", "skin1"], "KIND"), (["kernel", "--medium", "skin1", "--taps", "12"], "odd"),
     (["kernel", "--medium", "skin1", "--range", "0"], "more than 0"), (["colour-map", "--size", "2"], "16 to"),
     (["kernel", "--medium", "skin1", "--format", "cube"], "colour-map"),
+    (["formula", "--format", "cube"], "python"), (["lut", "--medium", "skin1", "--format", "osl"], "formula"),
 ])  # fmt: skip
 def test_wrong_command_lines(arguments, says):
     assert says in dipole("bake", *arguments, status=2).stderr
+
+
+def scattered(light: str):
+    """The function that `dipole bake formula` writes, and the error that it states."""
+    text = dipole("bake", "formula", "--light", light, "--format", "python").stdout
+    names: dict = {}
+    exec(text, names)
+    return names["scattered"], float(text.split("colour_error ")[1].split()[0])
+
+
+@pytest.mark.parametrize("light", ["beam", "diffuse"])
+def test_the_formula_shows_colours_as_it_says(client, light):
+    formula, stated = scattered(light)
+    colours = np.concatenate([np.linspace(0.003, 0.98, 2000), 1 - np.geomspace(0.0199, 1e-6, 500)])
+    wanted, worst = np.linspace(0.005, 0.995, 199), 0.0
+    for eta in (1.3, 1.36, 1.45, 1.54, 1.6):
+        for g in (0, 0.1, 0.35, 0.65, 0.82, 0.9):
+            true = client.varying("transport", colour=colours, length=1.0, given="extinction-path", light=light,
+                                  g=g, eta=eta, coefficients="scattered", evaluator="f64")
+            shown = np.interp(formula(wanted, g, eta), true.coefficients["scattered"], colours)
+            worst = max(worst, np.abs(shown - wanted).max())
+    assert worst == pytest.approx(stated, rel=0.1)
+
+
+def test_the_formula_is_the_same_in_all_languages(tmp_path):
+    formula, _ = scattered("beam")
+    head = dipole("bake", "formula").stdout
+    tail = '#include <stdio.h>\nint main(void) { printf("%.9g", (double)scattered(.4f, .3f, 1.5f)); }\n'
+    (tmp_path / "formula.c").write_text(head + tail)
+    command = ["gcc", "-Wall", "-Wextra", "-Werror", "-o", "formula", "formula.c", "-lm"]
+    subprocess.run(command, cwd=tmp_path, check=True)
+    found = subprocess.run([str(tmp_path / "formula")], capture_output=True, check=True, text=True)
+    assert float(found.stdout) == pytest.approx(formula(0.4, 0.3, 1.5), rel=1e-6)
+    main = "layout(location=0) in vec3 x;\nlayout(location=0) out vec4 y;\nvoid main() { y = vec4(scattered(x.x, x.y, x.z)); }"
+    (tmp_path / "formula.frag").write_text("#version 450\n" + dipole("bake", "formula", "--format", "glsl").stdout + main)
+    taps = dipole("bake", "kernel", "--medium", "skin1", "--common", "--format", "hlsl").stdout
+    (tmp_path / "taps.frag").write_text(taps + "float4 main(uint i : I) : SV_Target { return baked[i]; }")
+    for more in (["formula.frag"], ["-D", "-V", "-e", "main", "taps.frag"]):
+        subprocess.run(["glslangValidator", *more], cwd=tmp_path, check=True)
+    shaders = {name: dipole("bake", "formula", "--format", name).stdout for name in ("glsl", "hlsl", "osl")}
+    assert len(set(shaders.values())) == 1 and shaders["glsl"] == re.sub(
+        r"(\d)f", r"\1", head.replace("#include <math.h>\n\nstatic ", "").replace("const ", "").replace("sqrtf", "sqrt")
+    )
+
+
+def test_the_document_has_the_constants():
+    """core/COLOURS.md is made by core/tools/colours.py from the same list."""
+    root = Path(__file__).parents[2]
+    number = re.compile(r"-?\d+\.\d{5}")
+    listed = number.findall((root / "clients" / "cli" / "formula.def").read_text())
+    told = [number.findall(line) for line in (root / "core" / "COLOURS.md").read_text().splitlines()
+            if line.startswith(("beam, ", "diffuse, "))]
+    assert [one for row in told for one in row[1:]] == [one for one in listed if one not in (told[0][0], told[3][0])]
+    assert {row[0] for row in told} <= set(listed) and len(listed) == 2 * 19
