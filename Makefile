@@ -110,6 +110,7 @@ $(addprefix $(OBJ)/core/models/,surface.avx512.f32.o varying.avx512.f32.o): ISA_
 $(SERVER): EXTRA_CPPFLAGS = $(call cflags,libuv libmicrohttpd libmodbus) $(TLS_CFLAGS)
 $(OBJ)/clients/c/tls.o: EXTRA_CPPFLAGS = $(TLS_CFLAGS)
 $(OBJ)/clients/cli/texture.o: EXTRA_CPPFLAGS = $(call cflags,libpng lcms2)
+$(OBJ)/clients/cli/material.o: EXTRA_CPPFLAGS = $(call cflags,expat jansson)
 $(OBJ)/core/models/gaussian_fit.o: EXTRA_CPPFLAGS = $(if $(filter yes,$(CMINPACK)),$(call cflags,cminpack))
 
 # Files that the assembler includes. A Content-Security-Policy names the script and the style of the
@@ -140,7 +141,7 @@ $(BUILD)/libdipole.so: $(BUILD)/libdipole.so.$(VERSION)
 $(BUILD)/dipoled: $(SERVER) $(BUILD)/libproto.a $(BUILD)/libcore.a
 $(BUILD)/dipoled: LIBS = $(SERVER_LIBS) $(CORE_LIBS)
 $(BUILD)/dipole: $(CLI) $(BUILD)/libdipole.a
-$(BUILD)/dipole: LIBS = $(call libs,libpng lcms2) $(TLS_LIBS) $(CORE_LIBS)
+$(BUILD)/dipole: LIBS = $(call libs,libpng lcms2 expat jansson) $(TLS_LIBS) $(CORE_LIBS)
 
 include core/tools/tools.mk tests/tests.mk clients/packaging/packaging.mk
 

@@ -5,6 +5,7 @@
 #include <string.h>
 
 #include "clients/cli/edge.h"
+#include "clients/cli/material.h"
 #include "clients/cli/options.h"
 #include "clients/cli/profile.h"
 #include "clients/cli/rows.h"
@@ -13,40 +14,41 @@ enum colour_kind { SMOOTH, CLASSICAL, HULST, HULST_G0 };
 enum length_kind { EXTINCTION, CLASSICAL_LENGTH, BURLEY, BLENDER, UNREAL };
 
 /* How --format native writes a material: a text before it, formats of a parameter with three
- * numbers and of one with a single number, and a text after it. */
+ * numbers and of one with a single number, and a text after it. Both texts may name an element of
+ * MaterialX. */
 typedef struct native_form {
-  const char *first, *three, *one, *last;
+  const char *first, *three, *one, *last, *element;
 } native_form;
 
 #define MTLX_HEAD "<?xml version=\"1.0\"?>\n<materialx version=\"1.39\">\n"
+#define MTLX_LAST "  </%s>\n</materialx>\n"
 #define MTLX_THREE "    <input name=\"%s\" type=\"color3\" value=\"%.9g, %.9g, %.9g\" />\n"
 #define MTLX_ONE "    <input name=\"%s\" type=\"float\" value=\"%.9g\" />\n"
 
 static const native_form form_NONE = {0};
 static const native_form form_OPENPBR = {
-    MTLX_HEAD "  <open_pbr_surface name=\"subsurface\" type=\"surfaceshader\">\n"
+    MTLX_HEAD "  <%s name=\"subsurface\" type=\"surfaceshader\">\n"
               "    <input name=\"subsurface_weight\" type=\"float\" value=\"1\" />\n",
-    MTLX_THREE, MTLX_ONE, "  </open_pbr_surface>\n</materialx>\n"};
+    MTLX_THREE, MTLX_ONE, MTLX_LAST, "open_pbr_surface"};
 static const native_form form_STANDARD_SURFACE = {
-    MTLX_HEAD "  <standard_surface name=\"surface\" type=\"surfaceshader\">\n"
+    MTLX_HEAD "  <%s name=\"surface\" type=\"surfaceshader\">\n"
               "    <input name=\"subsurface\" type=\"float\" value=\"1\" />\n",
-    MTLX_THREE, MTLX_ONE, "  </standard_surface>\n</materialx>\n"};
-static const native_form form_MATERIALX = {
-    MTLX_HEAD "  <subsurface_bsdf name=\"subsurface\" type=\"BSDF\">\n", MTLX_THREE, MTLX_ONE,
-    "  </subsurface_bsdf>\n</materialx>\n"};
+    MTLX_THREE, MTLX_ONE, MTLX_LAST, "standard_surface"};
+static const native_form form_MATERIALX = {MTLX_HEAD "  <%s name=\"subsurface\" type=\"BSDF\">\n",
+                                           MTLX_THREE, MTLX_ONE, MTLX_LAST, "subsurface_bsdf"};
 static const native_form form_BLENDER = {
     "# bsdf: the node Principled BSDF\n"
     "bsdf.inputs[\"Subsurface Weight\"].default_value = 1\n",
     "bsdf.inputs[\"%s\"].default_value[:3] = (%.9g, %.9g, %.9g)\n",
-    "bsdf.inputs[\"%s\"].default_value = %.9g\n", ""};
+    "bsdf.inputs[\"%s\"].default_value = %.9g\n", "", NULL};
 static const native_form form_PBRT = {"Material \"subsurface\"", " \"rgb %s\" [ %.9g %.9g %.9g ]",
-                                      " \"float %s\" [ %.9g ]", "\n"};
+                                      " \"float %s\" [ %.9g ]", "\n", NULL};
 static const native_form form_UNREAL = {
     "# profile: an unreal.SubsurfaceProfileStruct\n",
     "profile.set_editor_property(\"%s\", unreal.LinearColor(%.9g, %.9g, %.9g, 1))\n",
-    "profile.set_editor_property(\"%s\", %.9g)\n", ""};
+    "profile.set_editor_property(\"%s\", %.9g)\n", "", NULL};
 static const native_form form_UNITY = {"", "%s: {r: %.9g, g: %.9g, b: %.9g, a: 1}\n", "%s: %.9g\n",
-                                       ""};
+                                       "", NULL};
 static const native_form form_GLTF = {0}; /* write_gltf() */
 
 enum { NAME_COLOUR, NAME_LENGTHS, NAME_FACTOR, NAME_G, NAME_ETA, NAMES };
@@ -388,7 +390,7 @@ static int write_native(const material *of) {
     write_gltf(of, names[NAME_COLOUR], factor, lengths);
     return CLI_OK;
   }
-  printf("%s", form->first);
+  printf(form->first, form->element);
   write_three(form, names[NAME_COLOUR], of->colours);
   write_three(form, names[NAME_LENGTHS], lengths);
   const double numbers[] = {
@@ -398,7 +400,7 @@ static int write_native(const material *of) {
       printf(form->one, names[i], numbers[i]);
     }
   }
-  printf("%s", form->last);
+  printf(form->last, form->element);
   return CLI_OK;
 }
 
@@ -445,6 +447,49 @@ static bool find_convention(const char *option, const char *name, const conventi
   return true;
 }
 
+/* Sets numbers to the values of a parameter, unless they are given or it is not there. */
+static void take_values(const cli_material *of, const char *name, cli_numbers *numbers) {
+  size_t count;
+  const double *values = cli_material_find(of, name, &count);
+  if (numbers->count == 0 && values != NULL) {
+    *numbers = (cli_numbers){count, cli_allocate(count, sizeof *values)};
+    memcpy(numbers->items, values, count * sizeof *values);
+  }
+}
+
+/* Reads FILE and sets what no option gives. Says what is wrong and returns false. */
+static bool read_file(cli_settings *settings, const convention *from) {
+  static cli_material read;
+  const char *file = settings->operand, *names[NAMES];
+  const native_form *form = from->form;
+  const bool gltf = form == &form_GLTF;
+  if (!gltf && form != &form_PBRT && form->element == NULL) {
+    cli_fail_usage("%s: files are read --from openpbr, materialx, standard-surface, gltf, "
+                   "gltf-volume-scatter and pbrt",
+                   file);
+    return false;
+  }
+  if (!(gltf                 ? cli_material_read_gltf(file, &read)
+        : form == &form_PBRT ? cli_material_read_pbrt(file, &read)
+                             : cli_material_read_mtlx(file, form->element, &read))) {
+    return false;
+  }
+  take_names(from, names);
+  cli_numbers factor = {0};
+  const bool has_length = settings->length.count > 0;
+  take_values(&read, names[NAME_FACTOR], &factor);
+  take_values(&read, names[NAME_LENGTHS], &settings->length);
+  for (size_t i = 0; i < settings->length.count && !has_length; i++) {
+    double *length = &settings->length.items[i];
+    *length = (gltf ? -1 / log(*length) : *length) * (factor.count > 0 ? factor.items[0] : 1);
+  }
+  take_values(&read, gltf ? "multiscatterColorFactor" : names[NAME_COLOUR], &settings->colour);
+  take_values(&read, "multiscatterColor", &settings->colour);
+  take_values(&read, names[NAME_G], &settings->g);
+  take_values(&read, names[NAME_ETA], &settings->eta);
+  return true;
+}
+
 static int check(cli_settings *settings) {
   const convention *from, *to;
   if (settings->source == NULL) {
@@ -457,13 +502,23 @@ static int check(cli_settings *settings) {
   if (from == NULL) {
     return cli_medium_check(settings);
   }
+  if (settings->operand != NULL && !read_file(settings, from)) {
+    return CLI_FAILED;
+  }
   if (settings->colour.count == 0 ||
       (settings->length.count != 1 && settings->length.count != settings->colour.count)) {
-    return cli_fail_usage("give --colour, and --length for all or each of its channels");
+    return cli_fail_usage("give --colour, and --length for all or each of its channels%s",
+                          settings->operand != NULL ? ": the file has none" : "");
   }
   for (size_t i = 0; i < settings->colour.count; i++) {
     if (!(settings->colour.items[i] >= 0 && settings->colour.items[i] <= 1)) {
       return cli_fail_usage("--colour: %g is not from 0 to 1", settings->colour.items[i]);
+    }
+  }
+  for (size_t i = 0; i < settings->length.count; i++) {
+    if (!(settings->length.items[i] > 0 && settings->length.items[i] < INFINITY)) {
+      return cli_fail_usage("--length: %g is not more than 0 and finite",
+                            settings->length.items[i]);
     }
   }
   return settings->medium.count > 0 || settings->sigma_a.count > 0 || settings->sigma_s.count > 0
@@ -519,12 +574,16 @@ static int run_convert(const cli_settings *settings, dipole_client *client) {
 
 const cli_command cli_command_convert = {
     .name = "convert",
+    .operand = "[FILE]",
     .about = "Convert colours and lengths between renderers, and to coefficients",
     .more =
         "A renderer makes a medium of a colour and a length; each means something else by them. "
         "`shows` is the colour that light at normal incidence gets back from the medium through "
         "its interface, per power that entered; `as given` is the same if the colours are typed "
-        "into the target unconverted. Colours that are written are linear. native writes .mtlx, "
+        "into the target unconverted. Colours that are written are linear. FILE is a .mtlx, the "
+        "JSON of "
+        "a glTF or of its extensions, or a material of pbrt, and gives what no option does. native "
+        "writes .mtlx, "
         "JSON of glTF, a line of pbrt, lines of Python for Blender and Unreal, or values of a "
         "Unity "
         "asset. The conventions:"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import math
 import re
 from pathlib import Path
 
@@ -45,3 +46,57 @@ def test_a_typed_colour_shows_the_wanted_one():
     assert [row["shown"] for row in rows] == pytest.approx(wanted, rel=1e-9)
     typed = convert("--from", "cycles", "--colour", ",".join(repr(row["colour"]) for row in rows), "--length", "1")
     assert [row["shown"] for row in typed] == pytest.approx(wanted, rel=1e-5)
+
+
+@pytest.mark.parametrize("name", ["openpbr", "materialx", "standard-surface", "gltf", "gltf-volume-scatter", "pbrt"])
+def test_a_file_that_is_written_is_read(tmp_path, name):
+    media = ["--sigma-a", "0.01,0.2,2", "--sigma-s", "5", "--g", "0.3", "--eta", "1.45"]
+    made = dipole("convert", "--from", "coefficients", *media, "--to", name, "--format", "native", quiet=False)
+    (tmp_path / "material").write_text(made.stdout)
+    more = ["--eta", "1.45"] if name == "materialx" else []  # it cannot say the index
+    rows = convert("--from", name, str(tmp_path / "material"), *more)
+    assert [row["sigma_a"] for row in rows] == pytest.approx([0.01, 0.2, 2], rel=1e-4)
+    for row in rows:
+        assert (row["sigma_s"], row["g"], row["eta"]) == pytest.approx((5, 0.3, 1.45), rel=1e-4)
+
+
+MTLX = """<?xml version="1.0"?><materialx version="1.39"><open_pbr_surface name="m" type="surfaceshader">
+<input name="subsurface_color" type="color3" colorspace="srgb_texture" value="0.735357, 0.5, 0.2"/>
+<input name="subsurface_radius" value="2"/> <input name="subsurface_radius_scale" value="1, 0.5, 0.25"/>
+</open_pbr_surface><open_pbr_surface name="other"><input name="subsurface_radius" value="9"/></open_pbr_surface>
+</materialx>"""
+GLTF = """{"asset": {"version": "2.0"}, "materials": [{"extensions": {"KHR_materials_ior": {"ior": 1.4},
+"KHR_materials_scatter": {"multiscatterColorFactor": [0.5, 0.5, 0.5], "scatterAnisotropy": 0.2},
+"KHR_materials_volume": {"attenuationDistance": 0.001, "attenuationColor": [0.36787944, 0.5, 0.9]}}}]}"""
+PBRT = """Material "subsurface" "rgb reflectance" [ .5 .4 .3 ] "rgb mfp" [1 2 3] "float eta" 1.4 "string name" "x" """
+
+
+def test_files_of_others(tmp_path):
+    def read(name: str, text: str) -> list[dict[str, float]]:
+        (tmp_path / name).write_text(text)
+        return convert("--from", name, str(tmp_path / name))
+
+    rows = read("openpbr", MTLX)
+    assert [1 / (row["sigma_a"] + row["sigma_s"]) for row in rows] == pytest.approx([2, 1, 0.5])
+    assert rows[0]["shown"] == pytest.approx(0.5, abs=1e-6) and rows[0]["eta"] == 1.5
+    rows = read("gltf", GLTF)
+    lengths = [1, 1 / math.log(2), 1 / -math.log(0.9)]
+    assert [1 / (row["sigma_a"] + row["sigma_s"]) for row in rows] == pytest.approx(lengths)
+    assert rows[0]["g"] == 0.2 and rows[0]["eta"] == 1.4
+    rows = read("pbrt", PBRT)
+    assert [row["shown"] for row in rows] == pytest.approx([0.5, 0.4, 0.3])
+
+
+@pytest.mark.parametrize("name", ["openpbr", "gltf", "pbrt"])
+def test_broken_files_are_refused(tmp_path, name):
+    """Files that end early, and one that is not there."""
+    text, status = {"openpbr": (MTLX, 1), "gltf": (GLTF, 1), "pbrt": (PBRT[:45], 2)}[name]
+    for length in range(0, len(text) - 1, 23):
+        (tmp_path / "part").write_text(text[:length])
+        dipole("convert", "--from", name, str(tmp_path / "part"), status=status)
+    assert "cannot read" in dipole("convert", "--from", name, str(tmp_path / "none"), status=1).stderr
+
+
+def test_a_convention_without_files(tmp_path):
+    (tmp_path / "x").write_text("{}")
+    assert "files are read" in dipole("convert", "--from", "unity", str(tmp_path / "x"), status=1).stderr

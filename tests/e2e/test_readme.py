@@ -47,6 +47,10 @@ def folder(tmp_path):
     (tmp_path / "samples.csv").write_text("sigma_a,sigma_s,g,eta,r\n0.032,0.74,0,1.3,1\n")
     (tmp_path / "points.csv").write_text("x,y,z,power\n0,0,0,1\n")
     (tmp_path / "queries.csv").write_text("x,y,z\n0,0,1\n")
+    radius = '<input name="subsurface_radius_scale" value="1, .5, .2"/>'
+    colour = '<input name="subsurface_color" value=".8, .5, .3"/>'
+    material = f"<materialx><open_pbr_surface>{radius}{colour}</open_pbr_surface></materialx>"
+    (tmp_path / "material.mtlx").write_text(material)
     return tmp_path
 
 
