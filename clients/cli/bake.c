@@ -20,6 +20,7 @@ static const cli_option options[] = {
     CLI_OPTION(SWITCH, common, NULL,
                "of kernel: one range for all channels, the largest, so that a tap is a float4 of "
                "three weights and an offset"),
+    CLI_OPTION(COUNT, count, "6", "of gaussians: how many, 2 to 12"),
     CLI_OPTION(COUNT, size, "64", "of lut: numbers along each axis; of colour-map: colours"),
     CLI_OPTION(TEXT, light, "beam",
                "of colour-map and formula: the light of the colours, beam or diffuse"),
@@ -184,6 +185,72 @@ static int make_burley(bake *of) {
   set_rows(&of->sheet, 1, CLI_COLOURS, names);
   for (size_t i = 0; i < CLI_COLOURS; i++) {
     of->sheet.values[i] = cli_edge_burley(radii_of(of, i), &errors[i]);
+  }
+  add_fact(&of->sheet, "edge_error",
+           "largest error beside a straight shadow edge, of the light inside", errors);
+  return CLI_OK;
+}
+
+/* ---- Gaussians ------------------------------------------------------------------------------- */
+
+enum { GAUSSIANS_MIN = 2, GAUSSIANS_MAX = 12 };
+
+/* Fits the shares and variances of Gaussians to radii by expectation and maximization (Dempster,
+ * Laird, Rubin 1977): a Gaussian of variance v has the density r / v e^(-r^2 / 2 v) of radii. Shares
+ * stay positive, and their sum 1. */
+static void fit_gaussians(const double *r_mm, size_t count, double shares[], double variances[]) {
+  enum { ROUNDS = 300, EVERY = 4 }; /* every so many radii are enough */
+  const double least = r_mm[CLI_EDGE_RADII / 20], most = r_mm[CLI_EDGE_RADII - CLI_EDGE_RADII / 50];
+  for (size_t k = 0; k < count; k++) {
+    const double width = least * pow(most / least, (double)k / (double)(count - 1));
+    shares[k] = 1 / (double)count;
+    variances[k] = width * width / 2;
+  }
+  for (int round = 0; round < ROUNDS; round++) {
+    double sums[GAUSSIANS_MAX] = {0}, squares[GAUSSIANS_MAX] = {0}, all = 0;
+    for (size_t i = EVERY / 2; i < CLI_EDGE_RADII; i += EVERY) {
+      const double half = r_mm[i] * r_mm[i] / 2;
+      double parts[GAUSSIANS_MAX], sum = 0;
+      for (size_t k = 0; k < count; k++) {
+        parts[k] = shares[k] / variances[k] * exp(-half / variances[k]);
+        sum += parts[k];
+      }
+      for (size_t k = 0; k < count && sum > 0; k++) {
+        sums[k] += parts[k] / sum;
+        squares[k] += parts[k] / sum * half;
+      }
+      all += sum > 0;
+    }
+    for (size_t k = 0; k < count; k++) {
+      shares[k] = sums[k] / all;
+      variances[k] = sums[k] > 0 ? squares[k] / sums[k] : variances[k];
+    }
+  }
+}
+
+static int make_gaussians(bake *of) {
+  static const char *const names[] = {"share_red",    "share_green",    "share_blue",
+                                      "variance_red", "variance_green", "variance_blue"};
+  const size_t count = of->settings->count.value;
+  double shares[GAUSSIANS_MAX], variances[GAUSSIANS_MAX], errors[CLI_COLOURS] = {0};
+  if (count < GAUSSIANS_MIN || count > GAUSSIANS_MAX) {
+    return cli_fail_usage("--count: %d to %d", GAUSSIANS_MIN, GAUSSIANS_MAX);
+  }
+  set_rows(&of->sheet, count, 6, names);
+  for (size_t i = 0; i < CLI_COLOURS; i++) {
+    const double *r_mm = radii_of(of, i);
+    fit_gaussians(r_mm, count, shares, variances);
+    for (size_t k = 0; k < count; k++) {
+      of->sheet.values[6 * k + i] = shares[k];
+      of->sheet.values[6 * k + 3 + i] = variances[k];
+    }
+    for (size_t j = 0; j < CLI_EDGE_RADII; j += 16) {
+      double edge = 0.5;
+      for (size_t k = 0; k < count; k++) {
+        edge += 0.5 * shares[k] * erf(r_mm[j] / sqrt(2 * variances[k]));
+      }
+      errors[i] = fmax(errors[i], fabs(edge - cli_edge_at(r_mm, r_mm[j])));
+    }
   }
   add_fact(&of->sheet, "edge_error",
            "largest error beside a straight shadow edge, of the light inside", errors);
@@ -502,11 +569,9 @@ static const struct kind {
   const char *name;
   int (*make)(bake *of);
   bool of_medium;
-} kinds[] = {{"kernel", make_kernel, true},
-             {"burley", make_burley, true},
-             {"lut", make_lut, true},
-             {"colour-map", make_colour_map, false},
-             {"formula", NULL, false}};
+} kinds[] = {{"kernel", make_kernel, true},          {"burley", make_burley, true},
+             {"gaussians", make_gaussians, true},    {"lut", make_lut, true},
+             {"colour-map", make_colour_map, false}, {"formula", NULL, false}};
 
 static const struct kind *kind_of(const cli_settings *settings) {
   for (size_t i = 0; settings->operand != NULL && i < sizeof kinds / sizeof kinds[0]; i++) {
@@ -524,7 +589,7 @@ static bool is_local(const cli_settings *settings) {
 static int check(cli_settings *settings) {
   const struct kind *kind = kind_of(settings);
   if (kind == NULL) {
-    return cli_fail_usage("give a KIND: kernel, burley, lut, colour-map or formula");
+    return cli_fail_usage("give a KIND: kernel, burley, gaussians, lut, colour-map or formula");
   }
   if (settings->size.value < SIDE_MIN || settings->size.value > SIDE_MAX) {
     return cli_fail_usage("--size: %d to %d", SIDE_MIN, SIDE_MAX);
@@ -594,6 +659,7 @@ const cli_command cli_command_bake = {
         "KIND is one of:\n"
         "kernel: taps of a separable blur, with the exact light of their bins\n"
         "burley: the length d (mm) of Burley's profile whose shadow edge is the nearest\n"
+        "gaussians: shares of the light and variances (mm^2) of Gaussians\n"
         "lut: light on a sphere by N.L, -1 to 1, and curvature, 0 to 1 per mm, at the middles of "
         "texels, over that inside (pre-integrated, Penner 2011, but over the whole sphere)\n"
         "colour-map: the single-scattering albedo of colours 0 to 1, for --g, --eta (default: 1.5) "

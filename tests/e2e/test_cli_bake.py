@@ -4,6 +4,7 @@ with the profile R(r) of the medium that the file names."""
 from __future__ import annotations
 
 import json
+import math
 import re
 import subprocess
 from pathlib import Path
@@ -86,6 +87,18 @@ def test_burleys_profile_meets_an_edge_as_it_says(client, medium):
     assert found == pytest.approx(file["edge_error"][0], rel=0.1, abs=5e-4)
 
 
+@pytest.mark.parametrize("medium", MEDIA, ids=NAMES)
+def test_gaussians_meet_an_edge_as_they_say(client, medium):
+    file = bake("gaussians", medium, "--count", str(rng.integers(2, 8)))
+    rows = np.array(file["rows"])
+    shares, variances = rows[:, 0], rows[:, 3]
+    assert shares.min() >= 0 and shares.sum() == pytest.approx(1, abs=1e-7)
+    x = np.concatenate([[0], np.geomspace(1e-3, 60, 1500) * medium["path"] / (1 - medium["g"])])
+    error = np.vectorize(math.erf)(x[:, None] / np.sqrt(2 * variances))
+    found = np.abs(0.5 + error @ shares / 2 - edge_of(client, file, 0)(x)).max()
+    assert found == pytest.approx(file["edge_error"][0], rel=0.1, abs=3e-4)
+
+
 def test_a_kernel_of_skin_is_better_than_promised():
     file = json.loads(dipole("bake", "kernel", "--medium", "skin1", "--eta", "1.4", "--format", "json").stdout)
     assert max(file["edge_error"]) <= 0.0065 and file["range_mm"] == pytest.approx([10.7, 4.5, 2.25], rel=0.02)
@@ -150,6 +163,7 @@ def test_a_map_of_colours_shows_them(client, light, tmp_path):
 
 @pytest.mark.parametrize("arguments, says", [
     (["kernel"], "--medium"), (["halo", "--medium", "skin1"], "KIND"), (["kernel", "--medium", "skin1", "--taps", "12"], "odd"),
+    (["gaussians", "--medium", "skin1", "--count", "13"], "2 to 12"),
     (["kernel", "--medium", "skin1", "--range", "0"], "more than 0"), (["colour-map", "--size", "2"], "16 to"),
     (["kernel", "--medium", "skin1", "--format", "cube"], "colour-map"),
     (["formula", "--format", "cube"], "python"), (["lut", "--medium", "skin1", "--format", "osl"], "formula"),
