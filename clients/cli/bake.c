@@ -2,6 +2,7 @@
 #include <math.h>
 #include <string.h>
 #include <strings.h>
+#include <unistd.h>
 
 #include "clients/cli/edge.h"
 #include "clients/cli/options.h"
@@ -454,15 +455,15 @@ static int write_formula(const cli_settings *settings) {
 
 /* ---- writing --------------------------------------------------------------------------------- */
 
-static void put_facts(const sheet *of, const char *before) {
-  printf("%s%s by transport, dipoled " DIPOLED_VERSION "\n", before, of->kind);
+static void put_facts(const sheet *of, FILE *file, const char *before) {
+  fprintf(file, "%s%s by transport, dipoled " DIPOLED_VERSION "\n", before, of->kind);
   for (size_t i = 0; i < of->fact_count; i++) {
     const fact *one = &of->facts[i];
-    printf("%s%s", before, one->name);
+    fprintf(file, "%s%s", before, one->name);
     for (size_t c = 0; c < of->channels; c++) {
-      printf(" %.6g", one->values[c]);
+      fprintf(file, " %.6g", one->values[c]);
     }
-    printf(" (%s)\n", one->about);
+    fprintf(file, " (%s)\n", one->about);
   }
 }
 
@@ -485,7 +486,7 @@ static void put_names(const sheet *of) {
 
 static void write_array(const sheet *of, bool shader) {
   const bool vectors = shader && of->columns == 4;
-  put_facts(of, "// ");
+  put_facts(of, stdout, "// ");
   printf("// columns: ");
   put_names(of);
   if (vectors) {
@@ -526,7 +527,7 @@ static int write_colours(const sheet *of, bool cube) {
     return cli_fail_usage("--format %s: of colour-map alone", cube ? "cube" : "spi1d");
   }
   if (cube) {
-    put_facts(of, "# ");
+    put_facts(of, stdout, "# ");
     printf("LUT_1D_SIZE %zu\n", of->rows);
   } else {
     printf("Version 1\nFrom 0 1\nLength %zu\nComponents 1\n{\n", of->rows);
@@ -537,8 +538,28 @@ static int write_colours(const sheet *of, bool cube) {
   }
   printf("%s", cube ? "" : "}\n");
   if (!cube) {
-    put_facts(of, "# ");
+    put_facts(of, stdout, "# ");
   }
+  return CLI_OK;
+}
+
+/* Writes a table of sphere_at() as a portable float map, whose rows go upward: one for each curvature.
+ * It has no room for facts: they go to standard error. */
+static int write_pfm(const sheet *of) {
+  const size_t side = (size_t)lround(sqrt((double)of->rows));
+  if (of->columns != 5) {
+    return cli_fail_usage("--format pfm: of lut alone");
+  }
+  if (isatty(STDOUT_FILENO) == 1) {
+    return cli_fail_usage("--format pfm: a terminal cannot show it; write it into a file with >");
+  }
+  printf("PF\n%zu %zu\n-1.0\n", side, side);
+  for (size_t i = 0; i < of->rows; i++) {
+    const double *row = of->values + i * of->columns;
+    const float pixel[] = {(float)row[2], (float)row[3], (float)row[4]};
+    fwrite(pixel, sizeof pixel, 1, stdout);
+  }
+  put_facts(of, stderr, "");
   return CLI_OK;
 }
 
@@ -546,13 +567,16 @@ static int write_sheet(const sheet *of, const char *format) {
   if (strcmp(format, "glsl") == 0 || strcmp(format, "osl") == 0 || strcmp(format, "python") == 0) {
     return cli_fail_usage("--format %s: of formula alone", format);
   }
+  if (strcmp(format, "pfm") == 0) {
+    return write_pfm(of);
+  }
   if (strcmp(format, "spi1d") == 0 || strcmp(format, "cube") == 0) {
     return write_colours(of, format[0] == 'c');
   }
   if (strcmp(format, "json") == 0) {
     write_json(of);
   } else if (strcmp(format, "csv") == 0) {
-    put_facts(of, "# ");
+    put_facts(of, stdout, "# ");
     put_names(of);
     for (size_t i = 0; i < of->rows; i++) {
       put_values(of, i, "", ",", "\n");
@@ -669,7 +693,7 @@ const cli_command cli_command_bake = {
         "Values are by transport, linear, and for weights of 1 in each channel: multiply by "
         "`colour`. Each file says its errors. c is an array of C, hlsl one of float4 with "
         "--common.",
-    .formats = "c,hlsl,csv,json,spi1d,cube,glsl,osl,python",
+    .formats = "c,hlsl,csv,json,pfm,spi1d,cube,glsl,osl,python",
     .options = {options, cli_medium_options},
     .check = check,
     .is_local = is_local,

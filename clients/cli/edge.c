@@ -30,6 +30,12 @@ bool cli_edge_radii(const cli_settings *settings, dipole_client *client, const d
     }
   }
   dipole_result_free(result);
+  for (size_t i = 0; i < count; i++) {
+    if (!((*r_mm)[i * CLI_EDGE_RADII] > 0)) {
+      cli_fail("channel %zu: it does not scatter: no light leaves beside where it entered", i + 1);
+      return false;
+    }
+  }
   return true;
 }
 

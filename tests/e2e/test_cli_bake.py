@@ -12,7 +12,8 @@ from pathlib import Path
 import numpy as np
 import PyOpenColorIO
 import pytest
-from command_line import dipole
+from command_line import PROGRAM, dipole
+from daemons import environment
 
 rng = np.random.default_rng(43)
 MEDIA = [
@@ -135,6 +136,16 @@ def test_a_sphere_is_lit_as_the_table_says(client, medium):
     assert 0 < file["value_error"][0] < 0.05
 
 
+def test_a_portable_float_map_has_the_table(tmp_path):
+    arguments = ["bake", "lut", "--medium", "skin1", "--size", "16", "--format"]
+    rows = np.array(json.loads(dipole(*arguments, "json").stdout)["rows"])
+    command = [str(PROGRAM), *arguments, "pfm"]
+    run = subprocess.run(command, capture_output=True, check=True, env=environment())
+    head, values = run.stdout[:14], np.frombuffer(run.stdout[14:], "<f4").reshape(-1, 3)
+    assert head == b"PF\n16 16\n-1.0\n" and b"value_error" in run.stderr
+    assert np.allclose(values, rows[:, 2:], rtol=1e-6, atol=1e-9)
+
+
 @pytest.mark.parametrize("light", ["beam", "diffuse"])
 def test_a_map_of_colours_shows_them(client, light, tmp_path):
     asked = ["--g", "0.5", "--eta", "1.4", "--light", light, "--size", "128"]
@@ -167,6 +178,7 @@ def test_a_map_of_colours_shows_them(client, light, tmp_path):
     (["kernel", "--medium", "skin1", "--range", "0"], "more than 0"), (["colour-map", "--size", "2"], "16 to"),
     (["kernel", "--medium", "skin1", "--format", "cube"], "colour-map"),
     (["formula", "--format", "cube"], "python"), (["lut", "--medium", "skin1", "--format", "osl"], "formula"),
+    (["burley", "--medium", "skin1", "--format", "pfm"], "lut"),
 ])  # fmt: skip
 def test_wrong_command_lines(arguments, says):
     assert says in dipole("bake", *arguments, status=2).stderr
@@ -224,3 +236,7 @@ def test_the_document_has_the_constants():
             if line.startswith(("beam, ", "diffuse, "))]
     assert [one for row in told for one in row[1:]] == [one for one in listed if one not in (told[0][0], told[3][0])]
     assert {row[0] for row in told} <= set(listed) and len(listed) == 2 * 19
+
+
+def test_a_medium_that_does_not_scatter_is_refused():
+    assert "does not scatter" in dipole("bake", "burley", "--sigma-a", "1", "--sigma-s", "0", status=1).stderr
