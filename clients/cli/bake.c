@@ -9,7 +9,14 @@
 #include "clients/cli/profile.h"
 #include "core/varying.h"
 
-enum { TAPS_MIN = 11, TAPS_MAX = 33, SIDE_MIN = 16, SIDE_MAX = 4096, COLUMNS_MAX = 6 };
+enum {
+  TAPS_MIN = 11,
+  TAPS_MAX = 33,
+  SIDE_MIN = 16,
+  SIDE_MAX = 4096,
+  SPHERE_MAX = 128,
+  COLUMNS_MAX = 6
+};
 
 static const cli_option options[] = {
     CLI_TITLE("What is baked"),
@@ -281,6 +288,9 @@ static int make_lut(bake *of) {
   static const char *const names[] = {"n_dot_l", "curvature_per_mm", "red", "green", "blue"};
   const size_t size = of->settings->size.value;
   double errors[CLI_COLOURS] = {0};
+  if (size > SPHERE_MAX) {
+    return cli_fail_usage("--size: of lut, %d to %d", SIDE_MIN, SPHERE_MAX);
+  }
   set_rows(&of->sheet, size * size, 5, names);
   for (size_t k = 0; k < size; k++) {
     const double curvature = ((double)k + 0.5) / (double)size; /* 1/mm */
@@ -293,19 +303,27 @@ static int make_lut(bake *of) {
       }
     }
   }
-  /* Between texels, where a sampler interpolates. */
-  for (size_t k = 0; k + 1 < size; k += 1 + size / 32) {
-    for (size_t i = 0; i + 1 < size; i++) {
-      const double *row = of->sheet.values + (k * size + i) * 5, *next = row + size * 5;
-      for (size_t c = 0; c < CLI_COLOURS; c++) {
-        const double mean = 0.25 * (row[2 + c] + row[7 + c] + next[2 + c] + next[7 + c]);
-        const double at =
-            sphere_at(radii_of(of, c), 2 / (row[1] + next[1]), 0.5 * (row[0] + row[5]));
-        errors[c] = fmax(errors[c], fabs(mean - at));
+  /* Where a sampler interpolates: half the way to the next texel along one axis or both. */
+  for (size_t k = 0; k < size; k++) {
+    for (size_t i = 0; i < size; i++) {
+      for (int way = 1; way < 4; way++) {
+        const size_t along = way & 1, across = (way >> 1) & 1;
+        if (i + along < size && k + across < size) {
+          const double *row = of->sheet.values + (k * size + i) * 5;
+          const double *side = row + 5 * along, *up = row + 5 * size * across;
+          const double *last = up + 5 * along;
+          for (size_t c = 0; c < CLI_COLOURS; c++) {
+            const double mean = 0.25 * (row[2 + c] + side[2 + c] + up[2 + c] + last[2 + c]);
+            const double at =
+                sphere_at(radii_of(of, c), 2 / (row[1] + up[1]), 0.5 * (row[0] + side[0]));
+            errors[c] = fmax(errors[c], fabs(mean - at));
+          }
+        }
       }
     }
   }
-  add_fact(&of->sheet, "value_error", "largest error between texels, interpolated", errors);
+  add_fact(&of->sheet, "value_error", "largest error half the way between texels, interpolated",
+           errors);
   return CLI_OK;
 }
 
@@ -411,7 +429,7 @@ static const struct language {
 static int write_formula(const cli_settings *settings) {
   static const char *const terms[TERMS] = {"", " * g", " * g * g", " * e", " * e * g", " * e * e"};
   const char *name = settings->format != NULL ? settings->format : "c";
-  const struct language *to = NULL;
+  const struct language *to = &languages[0];
   const formula *from = NULL;
   for (size_t i = 0; i < sizeof languages / sizeof languages[0]; i++) {
     to = strcmp(languages[i].name, name) == 0 ? &languages[i] : to;
@@ -419,8 +437,8 @@ static int write_formula(const cli_settings *settings) {
   for (size_t i = 0; i < sizeof formulas / sizeof formulas[0]; i++) {
     from = strcasecmp(formulas[i].light, settings->light) == 0 ? &formulas[i] : from;
   }
-  if (to == NULL || from == NULL) {
-    return cli_fail_usage("--format: one of c, glsl, hlsl, osl, python; --light: beam or diffuse");
+  if (from == NULL) {
+    return cli_fail_usage("--light: beam or diffuse");
   }
   const bool python = strcmp(name, "python") == 0;
   const char *root = python                   ? "(u * u - 4.0 * q * (1.0 - C)) ** 0.5"
@@ -522,10 +540,7 @@ static void write_json(const sheet *of) {
 
 /* One-dimensional tables: .spi1d of OpenColorIO, which has no comments but above its head, and .cube
  * of Adobe. */
-static int write_colours(const sheet *of, bool cube) {
-  if (of->columns != 1) {
-    return cli_fail_usage("--format %s: of colour-map alone", cube ? "cube" : "spi1d");
-  }
+static void write_colours(const sheet *of, bool cube) {
   if (cube) {
     put_facts(of, stdout, "# ");
     printf("LUT_1D_SIZE %zu\n", of->rows);
@@ -540,16 +555,12 @@ static int write_colours(const sheet *of, bool cube) {
   if (!cube) {
     put_facts(of, stdout, "# ");
   }
-  return CLI_OK;
 }
 
 /* Writes a table of sphere_at() as a portable float map, whose rows go upward: one for each curvature.
  * It has no room for facts: they go to standard error. */
 static int write_pfm(const sheet *of) {
   const size_t side = (size_t)lround(sqrt((double)of->rows));
-  if (of->columns != 5) {
-    return cli_fail_usage("--format pfm: of lut alone");
-  }
   if (isatty(STDOUT_FILENO) == 1) {
     return cli_fail_usage("--format pfm: a terminal cannot show it; write it into a file with >");
   }
@@ -564,16 +575,12 @@ static int write_pfm(const sheet *of) {
 }
 
 static int write_sheet(const sheet *of, const char *format) {
-  if (strcmp(format, "glsl") == 0 || strcmp(format, "osl") == 0 || strcmp(format, "python") == 0) {
-    return cli_fail_usage("--format %s: of formula alone", format);
-  }
   if (strcmp(format, "pfm") == 0) {
     return write_pfm(of);
   }
   if (strcmp(format, "spi1d") == 0 || strcmp(format, "cube") == 0) {
-    return write_colours(of, format[0] == 'c');
-  }
-  if (strcmp(format, "json") == 0) {
+    write_colours(of, format[0] == 'c');
+  } else if (strcmp(format, "json") == 0) {
     write_json(of);
   } else if (strcmp(format, "csv") == 0) {
     put_facts(of, stdout, "# ");
@@ -593,9 +600,13 @@ static const struct kind {
   const char *name;
   int (*make)(bake *of);
   bool of_medium;
-} kinds[] = {{"kernel", make_kernel, true},          {"burley", make_burley, true},
-             {"gaussians", make_gaussians, true},    {"lut", make_lut, true},
-             {"colour-map", make_colour_map, false}, {"formula", NULL, false}};
+  const char *formats; /* with a comma before and behind each */
+} kinds[] = {{"kernel", make_kernel, true, ",c,hlsl,csv,json,"},
+             {"burley", make_burley, true, ",c,csv,json,"},
+             {"gaussians", make_gaussians, true, ",c,csv,json,"},
+             {"lut", make_lut, true, ",c,csv,json,pfm,"},
+             {"colour-map", make_colour_map, false, ",c,csv,json,spi1d,cube,"},
+             {"formula", NULL, false, ",c,glsl,hlsl,osl,python,"}};
 
 static const struct kind *kind_of(const cli_settings *settings) {
   for (size_t i = 0; settings->operand != NULL && i < sizeof kinds / sizeof kinds[0]; i++) {
@@ -614,6 +625,13 @@ static int check(cli_settings *settings) {
   const struct kind *kind = kind_of(settings);
   if (kind == NULL) {
     return cli_fail_usage("give a KIND: kernel, burley, gaussians, lut, colour-map or formula");
+  }
+  if (settings->format != NULL) {
+    const char *found = strstr(kind->formats, settings->format);
+    if (found == NULL || found[-1] != ',' || found[strlen(settings->format)] != ',') {
+      return cli_fail_usage("--format %s: %s has %.*s", settings->format, kind->name,
+                            (int)strlen(kind->formats) - 2, kind->formats + 1);
+    }
   }
   if (settings->size.value < SIDE_MIN || settings->size.value > SIDE_MAX) {
     return cli_fail_usage("--size: %d to %d", SIDE_MIN, SIDE_MAX);
