@@ -221,9 +221,6 @@ static void add_headers(const struct http_connection *c, struct MHD_Response *re
     snprintf(seconds, sizeof seconds, "%u", (unsigned)(retry_after_ms + 999) / 1000);
     MHD_add_response_header(response, MHD_HTTP_HEADER_RETRY_AFTER, seconds);
   }
-  if (c->host->stopping || c->unclear) {
-    MHD_add_response_header(response, MHD_HTTP_HEADER_CONNECTION, "close");
-  }
   if (origin != NULL) {
     MHD_add_response_header(response, "Access-Control-Allow-Origin", origin);
     MHD_add_response_header(response, "Access-Control-Allow-Headers", "Content-Type");
@@ -231,35 +228,32 @@ static void add_headers(const struct http_connection *c, struct MHD_Response *re
   }
 }
 
-/* Sends the reply that has been written. If there was no memory for it, closes the connection. */
-static enum MHD_Result send_text(struct http_connection *c, unsigned status,
-                                 uint32_t retry_after_ms) {
+/* Sends a response and frees it. If it is NULL, for lack of memory, closes the connection. */
+static enum MHD_Result send_response(struct http_connection *c, unsigned status,
+                                     struct MHD_Response *response) {
   c->state = REPLIED;
-  struct MHD_Response *response =
-      c->text.failed
-          ? NULL
-          : MHD_create_response_from_buffer(c->text.count, c->text.bytes, MHD_RESPMEM_PERSISTENT);
   if (response == NULL) {
     return MHD_NO;
   }
-  add_headers(c, response, status, retry_after_ms);
+  if (c->host->stopping || c->unclear) {
+    MHD_add_response_header(response, MHD_HTTP_HEADER_CONNECTION, "close");
+  }
   const enum MHD_Result sent = MHD_queue_response(c->handle, status, response);
   MHD_destroy_response(response);
   return sent;
 }
 
-static enum MHD_Result send_page(struct http_connection *c) {
-  struct MHD_Response *response = http_page_response();
-  c->state = REPLIED;
-  if (response == NULL) {
-    return MHD_NO;
+/* Sends the reply that has been written. */
+static enum MHD_Result send_text(struct http_connection *c, unsigned status,
+                                 uint32_t retry_after_ms) {
+  struct MHD_Response *response =
+      c->text.failed
+          ? NULL
+          : MHD_create_response_from_buffer(c->text.count, c->text.bytes, MHD_RESPMEM_PERSISTENT);
+  if (response != NULL) {
+    add_headers(c, response, status, retry_after_ms);
   }
-  if (c->host->stopping) {
-    MHD_add_response_header(response, MHD_HTTP_HEADER_CONNECTION, "close");
-  }
-  const enum MHD_Result sent = MHD_queue_response(c->handle, MHD_HTTP_OK, response);
-  MHD_destroy_response(response);
-  return sent;
+  return send_response(c, status, response);
 }
 
 /* Sends an error. status: 0 for the one that proto/statuses.def gives it. */
@@ -491,7 +485,7 @@ static enum MHD_Result handle_request(struct http_connection *c) {
   static const wire_hello_request hello = {WIRE_VERSION, WIRE_VERSION, 0};
   switch (c->route.kind) {
   case PAGE:
-    return send_page(c);
+    return send_response(c, MHD_HTTP_OK, http_page_response());
   case HEALTH:
     return send_health(c, health_of(c->host->server));
   case READINESS:

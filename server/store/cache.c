@@ -513,10 +513,6 @@ static uint64_t prepare_entry(struct cache_entry *entry) {
                                     : 0;
 }
 
-static bool is_stopped(const struct cache_entry *entry) {
-  return entry->fault.field != NULL && strcmp(entry->fault.field, CORE_FIELD_STOPPED) == 0;
-}
-
 void cache_prepare(struct cache_entry *entry) {
   struct cache *cache = entry->cache;
   uv_mutex_lock(&cache->mutex);
@@ -530,7 +526,8 @@ void cache_prepare(struct cache_entry *entry) {
   struct entries evicted = TAILQ_HEAD_INITIALIZER(evicted);
   entry->bytes = prepare_entry(entry);
   uv_mutex_lock(&cache->mutex);
-  while (is_stopped(entry) && !LIST_EMPTY(&entry->waiters)) { /* that came after it had stopped */
+  while (entry->fault.field != NULL && strcmp(entry->fault.field, CORE_FIELD_STOPPED) == 0 &&
+         !LIST_EMPTY(&entry->waiters)) { /* that came after it had stopped */
     uv_mutex_unlock(&cache->mutex);
     entry->bytes = prepare_entry(entry);
     uv_mutex_lock(&cache->mutex);
