@@ -103,40 +103,36 @@ wire_error wire_header_check(const wire_header *header, uint64_t max_payload_byt
   return wire_error_none();
 }
 
-const char *wire_status_name(unsigned status) {
-  switch (status) {
+static const struct status {
+  const char *name, *text;
+  unsigned http, exception;
+} statuses[] = {
 #define WIRE_STATUS(code, IDENT, modbus_exception, http, name, text)                               \
-  case code:                                                                                       \
-    return name;
+  [code] = {name, text, http, modbus_exception},
 #include "proto/statuses.def"
 #undef WIRE_STATUS
-  default:
-    return "unknown";
-  }
+};
+
+static const struct status *find_status(unsigned status) {
+  static const struct status unknown = {"unknown", "an error that this version does not know", 500,
+                                        4};
+  return status < sizeof statuses / sizeof statuses[0] ? &statuses[status] : &unknown;
+}
+
+const char *wire_status_name(unsigned status) {
+  return find_status(status)->name;
 }
 
 const char *wire_status_text(unsigned status) {
-  switch (status) {
-#define WIRE_STATUS(code, IDENT, modbus_exception, http, name, text)                               \
-  case code:                                                                                       \
-    return text;
-#include "proto/statuses.def"
-#undef WIRE_STATUS
-  default:
-    return "an error that this version does not know";
-  }
+  return find_status(status)->text;
 }
 
 unsigned wire_status_http(unsigned status) {
-  switch (status) {
-#define WIRE_STATUS(code, IDENT, modbus_exception, http, name, text)                               \
-  case code:                                                                                       \
-    return http;
-#include "proto/statuses.def"
-#undef WIRE_STATUS
-  default:
-    return 500;
-  }
+  return find_status(status)->http;
+}
+
+unsigned wire_status_exception(unsigned status) {
+  return find_status(status)->exception;
 }
 
 const char *wire_type_name(unsigned type) {

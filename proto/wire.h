@@ -132,6 +132,7 @@ const char *wire_status_text(unsigned status);
 
 /* Returns the status of HTTP that stands for a status, for example 429 for BUSY. */
 unsigned wire_status_http(unsigned status);
+unsigned wire_status_exception(unsigned status); /* of Modbus */
 
 /* Returns the name of a message for the type of its request or of its reply. Returns "error" for
  * WIRE_TYPE_ERROR and "unknown" for other types. */

@@ -1,24 +1,12 @@
 #include "server/modbus/unit.h"
 
 #include <assert.h>
-#include <modbus.h>
 #include <stdlib.h>
 #include <string.h>
 
 #include "server/net/worker.h"
 
 /* ---- errors ---------------------------------------------------------------------------------- */
-
-static unsigned exception_of(enum wire_status status) {
-  switch (status) {
-#define WIRE_STATUS(code, IDENT, modbus_exception, http, name, text)                               \
-  case code:                                                                                       \
-    return modbus_exception;
-#include "proto/statuses.def"
-#undef WIRE_STATUS
-  }
-  return MODBUS_EXCEPTION_SLAVE_OR_SERVER_FAILURE;
-}
 
 void modbus_unit_note_refusal(struct modbus_unit *unit, const wire_error *error, unsigned at) {
   registers_set_u16(unit->registers, REGISTERS_AT_ERROR, error->status);
@@ -35,7 +23,7 @@ static unsigned refuse_write(struct modbus_unit *unit, struct modbus_task *commi
   if (committed != NULL && !modbus_task_busy(committed)) {
     modbus_task_fail(committed, error, at);
   }
-  return exception_of(error->status);
+  return wire_status_exception(error->status);
 }
 
 /* ---- writing --------------------------------------------------------------------------------- */

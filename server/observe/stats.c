@@ -2,15 +2,14 @@
 
 _Thread_local unsigned stats_shard;
 
-void stats_count_answer(struct stats *stats, unsigned status) {
-  switch (status) {
 #define WIRE_STATUS(code, IDENT, modbus_exception, http, name, text)                               \
-  case code:                                                                                       \
-    stats_add(stats, STATS_ANSWERS_##IDENT, 1);                                                    \
-    break;
+  _Static_assert(STATS_ANSWERS_##IDENT == STATS_ANSWERS_OK + (code), "in the order of their "      \
+                                                                     "codes");
 #include "proto/statuses.def"
 #undef WIRE_STATUS
-  }
+
+void stats_count_answer(struct stats *stats, unsigned status) {
+  stats_add(stats, (enum stats_index)(STATS_ANSWERS_OK + status), 1);
 }
 
 void stats_count_radii(struct stats *stats, unsigned model, uint64_t radii) {
