@@ -150,6 +150,20 @@ const core_choice *core_choice_by_name(const core_choice *list, const char *name
   return NULL;
 }
 
+bool core_solves(unsigned model) {
+  enum { SLOW = 0, COSTLY = 0, DERIVES = 0, SLABS = 0, LAYERS = 0, SOLVES = 1 };
+#define BIT(IDENT) 0
+  switch (model) {
+#define CORE_MODEL(id, IDENT, name, formula, kernels, variant, parameters, source)                 \
+  case id:                                                                                         \
+    return ((parameters)&SOLVES) != 0;
+#include "core/models.def"
+  default:
+    return false;
+  }
+#undef BIT
+}
+
 static int folded(char c) {
   return c == '-' ? '_' : tolower((unsigned char)c);
 }

@@ -188,7 +188,7 @@ static void finish(core_candidate *candidate, const core_choose_request *request
   const bool lut = candidate->evaluator == CORE_EVALUATOR_LUT;
   candidate->cost_ns = lut ? lut_ns : cost->radius_ns[candidate->evaluator == CORE_EVALUATOR_F32];
   candidate->prepare_ns = lut ? cost->prepare_lut_ns : cost->prepare_ns;
-  if (candidate->model == CORE_MODEL_TRANSPORT && !candidate->looked_up) {
+  if (!candidate->looked_up) {
     candidate->prepare_ns += solve_ns;
   }
   candidate->error =
@@ -203,7 +203,8 @@ void core_offer(core_candidate *candidate, const core_choose_request *request, u
                                 .evaluator = evaluator,
                                 .numerical_tolerance = (double)NAN,
                                 .model_error = model_error,
-                                .numerical_error = numerical_error};
+                                .numerical_error = numerical_error,
+                                .looked_up = true};
   finish(candidate, request);
 }
 

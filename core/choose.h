@@ -40,7 +40,7 @@ typedef struct core_candidate {
   double cost_ns;    /* time for one radius, as measured on one machine */
   double prepare_ns; /* time to prepare one medium, as measured there */
   double total_ns;   /* time for one medium: preparing it and evaluating all wanted quantities */
-  bool looked_up;    /* `transport`: it comes from the table of solutions, and is not solved */
+  bool looked_up;    /* false: the solver makes it, as the table of solutions does not serve */
   bool meets;        /* the error is at most the tolerance */
 } core_candidate;
 

@@ -151,6 +151,10 @@ const core_choice *core_choice_by_name(const core_choice *list, const char *name
  * capitals do not differ from small letters, nor '-' from '_'. Only 64 characters count. */
 unsigned core_name_distance(const char *a, const char *b);
 
+/* Whether a model is radiative transport itself: it comes from the table of solutions, or is solved,
+ * and has no model error. */
+bool core_solves(unsigned model);
+
 /* True for quantities with one value for each radius and channel. bit: of enum core_quantity. */
 bool core_quantity_elementwise(unsigned bit);
 

@@ -81,9 +81,8 @@ core_fault core_inverter_start(core_inverter *inverter, unsigned model, unsigned
     const core_medium wrong = {0, 1, g, eta};
     return check_medium(inverter, &wrong);
   }
-  inverter->ratio_most = model == CORE_MODEL_TRANSPORT
-                             ? real_min(core_transport_ratio_most(g, eta), RATIO_MAX)
-                             : RATIO_MAX;
+  inverter->ratio_most =
+      core_solves(model) ? real_min(core_transport_ratio_most(g, eta), RATIO_MAX) : RATIO_MAX;
   probe(inverter, 0);
   core_fault fault = check_medium(inverter, &inverter->medium);
   if (fault.field != NULL) {

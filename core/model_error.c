@@ -99,7 +99,7 @@ double core_ratio_of(const core_medium *medium) {
 }
 
 bool core_is_exact(unsigned model, bool gamma) {
-  return model == CORE_MODEL_TRANSPORT && !gamma;
+  return core_solves(model) && !gamma;
 }
 
 /* ---- numerical errors ------------------------------------------------------------------------ */

@@ -528,7 +528,7 @@ core_fault core_profile_prepare_until(core_profile *profile, const core_isa *isa
 
 core_fault core_albedo(const core_isa *isa, unsigned model, unsigned moments, enum core_light light,
                        const core_medium *medium, double *albedo) {
-  assert(light == CORE_LIGHT_BEAM || model == CORE_MODEL_TRANSPORT);
+  assert(light == CORE_LIGHT_BEAM || core_solves(model));
   const core_parameters none = core_parameters_none();
   const core_inputs inputs = {.moments = moments,
                               .medium = medium,

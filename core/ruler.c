@@ -14,7 +14,7 @@ bool core_ruler_is_needed(unsigned model, const core_parameters *parameters,
   const double *value = parameters->value;
   const bool plain = isnan(value[CORE_PARAMETER_GAMMA]) && !(medium->thickness_mm > 0) &&
                      isnan(value[CORE_PARAMETER_SURFACE_ALBEDO]);
-  return model != CORE_MODEL_TRANSPORT && plain &&
+  return !core_solves(model) && plain &&
          core_profile_check(CORE_MODEL_TRANSPORT, CORE_MOMENTS_EXACT, CORE_EVALUATOR_F64, medium,
                             NULL, NULL)
                  .field == NULL &&

@@ -66,7 +66,7 @@ static core_fault check_aperture(const core_fit_design *design) {
   if (fault.field != NULL) {
     return fault;
   }
-  if (design->model != CORE_MODEL_TRANSPORT || design->axis != CORE_FIT_AXIS_RADIUS) {
+  if (!core_solves(design->model) || design->axis != CORE_FIT_AXIS_RADIUS) {
     return (core_fault){"detector_na", "nothing but with transport and distances", 0};
   }
   const core_medium *reference = &design->reference;
@@ -79,7 +79,7 @@ static core_fault check_aperture(const core_fit_design *design) {
 
 /* A fit asks transport for many media, which the table of solutions must have. */
 static core_fault check_stored(const core_fit_design *design) {
-  if (design->model != CORE_MODEL_TRANSPORT) {
+  if (!core_solves(design->model)) {
     return (core_fault){0};
   }
   const core_medium *reference = &design->reference;
@@ -158,7 +158,7 @@ core_fit_cost core_fit_cost_of(const core_fit_design *design) {
   const bool slab = design->thickness_mm > 0;
   const bool free_factor = design->scale == CORE_FIT_SCALE_FREE;
   const size_t spare = design->count - (free_factor ? 3 : 2);
-  const bool inverts = design->count == 2 && design->model == CORE_MODEL_TRANSPORT;
+  const bool inverts = design->count == 2 && core_solves(design->model);
   return (core_fit_cost){.evaluations = inverts               ? BY_INVERSE
                                         : spare <= FIT_SPARSE ? SPARSE
                                                               : PLENTY,
@@ -355,7 +355,7 @@ static void set_falling(core_fit *fit, const core_fit_design *design) {
 
 /* Prepares the fast evaluation of the model, if it has one. */
 static core_fault set_kernels(struct fit_model *model) {
-  model->varies = model->model != CORE_MODEL_TRANSPORT && model->quantity == CORE_QUANTITY_R &&
+  model->varies = !core_solves(model->model) && model->quantity == CORE_QUANTITY_R &&
                   core_varying_prepare(&model->varying, model->isa, model->model, model->moments,
                                        CORE_EVALUATOR_F64, model->g, model->eta, &model->parameters)
                           .field == NULL;
@@ -431,7 +431,7 @@ core_fault core_fit_create(core_fit **made, const core_isa *isa, const core_fit_
                  .ln_at = numbers + NUMBERS * count + nodes,
                  .weight = numbers + NUMBERS * count + 2 * nodes},
   };
-  if (fit->model.model == CORE_MODEL_TRANSPORT) {
+  if (core_solves(fit->model.model)) {
     fit->model.parameters.value[CORE_PARAMETER_TOLERANCE] = (double)NAN;
   }
   fault = fill(fit, design);
@@ -462,16 +462,6 @@ size_t core_fit_bytes(const core_fit *fit) {
          (fit->model.table != NULL ? sizeof *fit->model.table : 0) +
          fit_inverse_bytes(fit->inverse) +
          (fit->model.varies ? core_varying_bytes(&fit->model.varying) : 0);
-}
-
-void core_fit_model(const core_fit *fit, double sigma_a_per_mm, double sigma_s_prime_per_mm,
-                    double *values) {
-  const struct fit_place place = {fit_ln(sigma_a_per_mm / sigma_s_prime_per_mm),
-                                  fit_ln(sigma_s_prime_per_mm)};
-  const core_fault fault = fit_values(&fit->model, place, &fit->places, values, NULL, NULL);
-  for (size_t i = 0; i < fit->count; i++) {
-    values[i] = fault.field == NULL ? values[i] * fit->weight[i] : (double)NAN;
-  }
 }
 
 /* ---- a set of readings ----------------------------------------------------------------------- */

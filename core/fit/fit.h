@@ -166,12 +166,6 @@ typedef struct core_fit_result {
   unsigned notes;       /* bits of enum core_note, of the model */
 } core_fit_result;
 
-/* Sets values[count] to the readings of a medium with these coefficients, more than 0, without
- * noise and with the factor 1, as the fit models them; NAN if the model does not take the
- * medium. */
-void core_fit_model(const core_fit *fit, double sigma_a_per_mm, double sigma_s_prime_per_mm,
-                    double *values);
-
 /* Fits one set: values[count], which may be negative by noise, in 1/mm^2 (axis RADIUS) or 1 (FREQUENCY), or 1 for
  * ratios; errors[count] are their standard errors, above 0 and finite. residuals: NULL, or room for
  * count numbers (value - factor model) / error at the best medium. */

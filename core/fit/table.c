@@ -68,8 +68,7 @@ core_fault fit_table_create(fit_table **made, const struct fit_table_source *sou
     return CORE_OUT_OF_MEMORY;
   }
   core_parameters taken = *source->parameters;
-  taken.value[CORE_PARAMETER_TOLERANCE] =
-      source->model == CORE_MODEL_TRANSPORT ? (double)NAN : TOLERANCE;
+  taken.value[CORE_PARAMETER_TOLERANCE] = core_solves(source->model) ? (double)NAN : TOLERANCE;
   table->waves = source->quantity == CORE_QUANTITY_TRANSFER;
   table->ratio_least = real_log(CORE_FIT_RATIO_MIN, 0);
   table->ratio_step = (real_log(CORE_FIT_RATIO_MAX, 0) - table->ratio_least) / (RATIOS - 1);

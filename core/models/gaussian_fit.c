@@ -113,7 +113,7 @@ core_fault core_gaussian_fit_check(const core_inputs *inputs, core_radii_range *
  * than 0. */
 static double error_of_model(const core_inputs *inputs, const struct fitted *fitted) {
   core_added_errors added = {{0}, 0};
-  if (fitted->model == CORE_MODEL_TRANSPORT) {
+  if (core_solves(fitted->model)) {
     core_transport_added_errors(inputs->medium, &added);
   }
   return core_banded_error(added.banded, added.all, inputs->medium, CORE_QUANTITY_R,

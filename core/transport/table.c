@@ -365,10 +365,6 @@ double transport_table_total_error(const transport_table *table, double g) {
   return table->field[g == 0 ? TRANSPORT_TABLE_ERROR : TRANSPORT_TABLE_TOTALS_ERROR];
 }
 
-double transport_table_diffuse_error(const transport_table *table, double albedo) {
-  return table->field[TRANSPORT_TABLE_DIFFUSE_ERRORS + transport_table_albedo_band(albedo)];
-}
-
 /* Sets values[] to the polynomials of v at this eta, on its side. */
 static void polynomials_of_v(const double *field, double eta, double *values) {
   double range[2];

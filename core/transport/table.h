@@ -173,9 +173,6 @@ double transport_table_error(const transport_table *table, double albedo, double
 /* Returns the largest relative error of the total. */
 double transport_table_total_error(const transport_table *table, double g);
 
-/* Returns the largest relative error of the total for diffuse light. */
-double transport_table_diffuse_error(const transport_table *table, double albedo);
-
 /* By how much a medium differs from the one with the same albedo and eta that scatters
  * isotropically: Chebyshev series in ln x. */
 typedef struct transport_difference {

@@ -24,7 +24,7 @@ core_fault core_varying_prepare(core_varying *varying, const core_isa *isa, unsi
       .g = varying->table_g,
       .eta = eta,
       .tolerance = isnan(tolerance) ? CORE_VARYING_TOLERANCE : tolerance,
-      .is_transport = model == CORE_MODEL_TRANSPORT,
+      .is_transport = core_solves(model),
       .shared = varying->shared.f64,
   };
   fault = core_surface_build(&inputs, &varying->words, &varying->words_count);

@@ -162,7 +162,7 @@ core_fault core_varying_open(core_varying *varying, const core_isa *isa, unsigne
   core_fault fault = core_surface_begin(varying, isa, model, moments, evaluator, g, eta,
                                         parameters != NULL ? parameters : &none);
   if (fault.field == NULL) {
-    fault = core_surface_check(words, count, model == CORE_MODEL_TRANSPORT);
+    fault = core_surface_check(words, count, core_solves(model));
   }
   if (fault.field != NULL) {
     return fault;
@@ -405,8 +405,7 @@ void core_varying_sample_f32(const core_varying *varying, size_t n, const float 
 /* ---- from colours to media ------------------------------------------------------------------- */
 
 core_fault core_light_check(unsigned model, enum core_light light) {
-  const bool known =
-      (unsigned)light < (model == CORE_MODEL_TRANSPORT ? CORE_LIGHTS : CORE_LIGHT_BEAM + 1);
+  const bool known = (unsigned)light < (core_solves(model) ? CORE_LIGHTS : CORE_LIGHT_BEAM + 1);
   return known ? (core_fault){0}
                : (core_fault){"light",
                               "light that the model knows: a beam, or diffuse with transport", 0};

@@ -384,7 +384,7 @@ static bool is_tabled(const struct translation *t) {
     /* a wrong name is refused later */
     http_value_read_choice(model, "model", core_models, false, &id);
   }
-  return id == CORE_MODEL_TRANSPORT && !(tolerance < CORE_LUT_TOLERANCE_MIN);
+  return core_solves((unsigned)id) && !(tolerance < CORE_LUT_TOLERANCE_MIN);
 }
 
 /* Returns whether the request leaves the choice of the model to its tolerance. */

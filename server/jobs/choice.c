@@ -192,8 +192,7 @@ wire_error choice_first(struct choice_state *state, eval_request *request, core_
 bool choice_heeds_radii(const struct choice_state *state, const eval_request *request) {
   const double *value = request->parameters.value;
   return !isnan(state->tolerance) ||
-         (request->fixed.model == CORE_MODEL_TRANSPORT &&
-          request->fixed.evaluator != CORE_EVALUATOR_LUT &&
+         (core_solves(request->fixed.model) && request->fixed.evaluator != CORE_EVALUATOR_LUT &&
           !isnan(value[CORE_PARAMETER_TOLERANCE]) && isnan(value[CORE_PARAMETER_GAMMA]) &&
           !core_wants_derivatives(request->fixed.wanted));
 }

@@ -146,7 +146,7 @@ static size_t list_candidates(const struct offers_job *offers, core_candidate *c
   const core_candidate first = candidates[0];
   for (size_t i = 0; core_costed_models[i] != 0 && count > 0; i++) {
     const unsigned model = core_costed_models[i];
-    if (model == CORE_MODEL_TRANSPORT) {
+    if (core_solves(model)) {
       continue;
     }
     core_offer(&candidates[count++], &asked, model, evaluator_of(offers), offers->errors[i].model,

@@ -5,7 +5,7 @@
 #include <math.h>
 
 #include "core/fit/discs.h"
-#include "core/fit/search.h"
+#include "tests/accuracy/fit_model.h"
 #include "tests/accuracy/montecarlo_run.h"
 #include "tests/unit/unit.h"
 
@@ -179,8 +179,8 @@ static core_fit *draw_own(struct subject *subject, unsigned model, unsigned axis
     }
   }
   core_fit *fit = created(&subject->design);
-  core_fit_model(fit, subject->medium.sigma_a_per_mm, subject->medium.sigma_s_per_mm,
-                 subject->values);
+  fit_model_readings(fit, subject->medium.sigma_a_per_mm, subject->medium.sigma_s_per_mm,
+                     subject->values);
   return fit;
 }
 
@@ -198,8 +198,8 @@ static void expect_own_recovery(unsigned model, unsigned axis, double g, size_t 
       fit = draw_own(&subject, model, axis, g, &random);
     } else {
       redraw(&subject, &random);
-      core_fit_model(fit, subject.medium.sigma_a_per_mm, subject.medium.sigma_s_per_mm,
-                     subject.values);
+      fit_model_readings(fit, subject.medium.sigma_a_per_mm, subject.medium.sigma_s_per_mm,
+                         subject.values);
     }
     set_errors(&subject, 0.01);
     core_fit_run(fit, subject.values, subject.errors, &result, NULL);
@@ -239,7 +239,8 @@ UNIT_TEST(flat_valleys_are_not_left_at_their_end) {
              4.3845154913532802, 0.62602462038294182}};
   subject.design.at = subject.at;
   core_fit *fit = created(&subject.design);
-  core_fit_model(fit, subject.medium.sigma_a_per_mm, subject.medium.sigma_s_per_mm, subject.values);
+  fit_model_readings(fit, subject.medium.sigma_a_per_mm, subject.medium.sigma_s_per_mm,
+                     subject.values);
   set_errors(&subject, 0.01);
   core_fit_result result;
   core_fit_run(fit, subject.values, subject.errors, &result, NULL);
@@ -335,7 +336,7 @@ static void compare_table(unsigned model, unsigned axis, double g) {
                       NULL, 0);
     core_eval_f64(&profile, axis == CORE_FIT_AXIS_RADIUS ? CORE_QUANTITY_R : CORE_QUANTITY_TRANSFER,
                   PLACES, at, value);
-    core_fit_model(fit, medium.sigma_a_per_mm, 1.3, modelled);
+    fit_model_readings(fit, medium.sigma_a_per_mm, 1.3, modelled);
     for (int k = 0; k < PLACES; k++) {
       const core_radii_range here = {at[k], at[k]};
       const double stated = core_profile_errors(&profile, CORE_QUANTITY_R, here).numerical;
@@ -480,7 +481,7 @@ static struct spread spread_of(unsigned scale, int count, double noise, int sets
                                   .at = at,
                                   .scale = scale};
   core_fit *fit = created(&design);
-  core_fit_model(fit, 0.02, 1.1, clean);
+  fit_model_readings(fit, 0.02, 1.1, clean);
   for (int i = 0; i < count; i++) {
     errors[i] = noise * clean[i];
   }
@@ -615,16 +616,16 @@ UNIT_TEST(apertures_of_designs) {
                             .scale = CORE_FIT_SCALE_ABSOLUTE};
   double all[3], narrow[3], known[3], ratio[3];
   core_fit *fit = created(&design);
-  core_fit_model(fit, 0.1, 1, all);
+  fit_model_readings(fit, 0.1, 1, all);
   core_fit_free(fit);
   design.detector_na = 1;
   fit = created(&design);
-  core_fit_model(fit, 0.1, 1, narrow);
+  fit_model_readings(fit, 0.1, 1, narrow);
   core_fit_free(fit);
   assert_memory_equal(all, narrow, sizeof all);
   design.detector_na = 0.3;
   fit = created(&design);
-  core_fit_model(fit, 0.1, 1, narrow);
+  fit_model_readings(fit, 0.1, 1, narrow);
   core_fit_free(fit);
   for (size_t i = 0; i < 3; i++) {
     assert_true(narrow[i] > 0.09 * 0.5 * all[i] && narrow[i] < 0.09 * 1.5 * all[i]);
@@ -632,14 +633,14 @@ UNIT_TEST(apertures_of_designs) {
   design.g = 0;
   design.eta = 1.2;
   fit = created(&design);
-  core_fit_model(fit, 0.02, 2, known);
+  fit_model_readings(fit, 0.02, 2, known);
   core_fit_free(fit);
   design.g = 0.5;
   design.eta = 1.4;
   design.scale = CORE_FIT_SCALE_REFERENCE;
   design.reference = (core_medium){0.02, 2, 0, 1.2};
   fit = created(&design);
-  core_fit_model(fit, 0.1, 1, ratio);
+  fit_model_readings(fit, 0.1, 1, ratio);
   core_fit_free(fit);
   for (size_t i = 0; i < 3; i++) {
     assert_true(fabs(ratio[i] * known[i] / narrow[i] - 1) < 3e-4);
@@ -703,7 +704,7 @@ UNIT_TEST(readings_that_rise_with_the_distance_are_implausible) {
     design->scale = CORE_FIT_SCALE_REFERENCE;
     design->reference = (core_medium){0.1, 1, 0, 1.4};
     core_fit *fit = created(design);
-    core_fit_model(fit, 0.01, 1, subject.values);
+    fit_model_readings(fit, 0.01, 1, subject.values);
     assert_true(subject.values[3] > 2 * subject.values[2] && subject.values[2] > subject.values[0]);
     set_errors(&subject, 0.01);
     assert_int_equal(refined(fit, &subject).status, CORE_FIT_STATUS_FITTED);
@@ -732,7 +733,7 @@ static void compare_inverse(const core_fit_design *design, const double places[2
     const double ratio = unit_random_log(random, 1e-4, 5);
     const double scattering = unit_random_log(random, 0.03, 30);
     const double relative = unit_random_log(random, 1e-3, 0.2);
-    core_fit_model(fit, ratio * scattering, scattering, values);
+    fit_model_readings(fit, ratio * scattering, scattering, values);
     for (int k = 0; k < 2; k++) {
       errors[k] = relative * values[k];
       values[k] = fmax(values[k] + 1.5 * errors[k] * normal(random), 0);

@@ -13,6 +13,7 @@
 #include <stdio.h>
 
 #include "clients/c/dipole.h"
+#include "tests/accuracy/fit_model.h"
 #include "tests/bench/bench.h"
 #include "tests/bench/service/child.h"
 #include "tests/bench/service/daemon.h"
@@ -37,8 +38,8 @@ static double noise(uint64_t *state) {
 static void draw(const core_fit *fit, size_t count) {
   uint64_t state = 1;
   for (size_t i = 0; i < SETS; i++) {
-    core_fit_model(fit, 0.02 * (1 + 0.5 * noise(&state)), 1.1 * (1 + 0.3 * noise(&state)),
-                   values[i]);
+    fit_model_readings(fit, 0.02 * (1 + 0.5 * noise(&state)), 1.1 * (1 + 0.3 * noise(&state)),
+                       values[i]);
     for (size_t k = 0; k < count; k++) {
       errors[i][k] = NOISE * values[i][k];
       values[i][k] += 1.7 * errors[i][k] * noise(&state);
