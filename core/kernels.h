@@ -133,7 +133,7 @@ typedef struct core_inputs {
   double accepted;
   /* whether only the albedo is requested; a formula may then skip the rest */
   bool only_albedo;
-  enum core_light light; /* of the albedo, if that is all */
+  enum core_light light;   /* if only_albedo: the illumination to which the albedo refers */
   const atomic_bool *stop; /* that of core_profile_prepare_until() */
 } core_inputs;
 

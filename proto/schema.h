@@ -179,7 +179,8 @@ uint64_t schema_part_values(const schema_payload *payload, const void *start, un
 wire_error schema_check(const schema_payload *payload, const uint8_t *bytes, size_t count,
                         schema_layout *layout);
 
-/* The two halves of that, for a message with more to check between them. */
+/* The two halves of schema_check(), for a message that has more to check between them: its length
+ * and fields, and its parts. */
 wire_error schema_check_fields(const schema_payload *payload, const uint8_t *bytes, size_t count);
 wire_error schema_check_parts(const schema_payload *payload, const uint8_t *bytes, size_t count,
                               schema_layout *layout);

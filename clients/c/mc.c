@@ -46,7 +46,8 @@ static uint32_t albedos_of(const dipole_mc_query *query) {
 
 static bool is_progress(const libdipole_frame *frame) {
   wire_mc_reply reply;
-  wire_get_mc_reply(frame->payload, &reply); /* begin_job() set reply_bytes_min to its size. */
+  /* The payload has room for this: begin_job() set reply_bytes_min to its size. */
+  wire_get_mc_reply(frame->payload, &reply);
   return reply.state == MC_UNDER_WAY;
 }
 
@@ -89,7 +90,7 @@ static bool begin_job(dipole_client *client, const dipole_mc_query *query,
                                query->albedos, query->parameters};
   schema_layout request;
   schema_lay_out(&schema_mc_request, &start, UINT64_MAX, &request, NULL);
-  request.parts[2].count = query->parameter_count; /* The rest of the payload is theirs. */
+  request.parts[2].count = query->parameter_count; /* The albedos are followed by the parameters. */
   request.payload_bytes += query->parameter_count * (uint64_t)WIRE_BYTES_parameter;
   if (!libdipole_request_begin(client, pending, request.payload_bytes, &payload, error)) {
     return false;

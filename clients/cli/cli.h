@@ -32,12 +32,12 @@ typedef struct cli_given {
 } cli_given;
 
 typedef struct cli_numbers {
-  size_t count; /* 0 if the option is not given */
+  size_t count; /* number of items; 0: the option is not given */
   double *items;
 } cli_numbers;
 
 typedef struct cli_texts {
-  size_t count; /* 0 if the option is not given */
+  size_t count; /* number of texts; 0: the option is not given */
   char **items;
   const char *whole; /* the names as given, separated by commas */
 } cli_texts;
@@ -105,7 +105,7 @@ typedef struct cli_settings {
   const char *quantity, *axes, *draw, *scale, *light;
   cli_numbers reference;
   bool specular, linear, srgb, typed;
-  const char *source, *target, *unit; /* of conventions, and of scene units */
+  const char *source, *target, *unit; /* names of conventions, and of the unit of a scene */
   cli_numbers colour, length, range;
   cli_count taps, size;
   bool common;

@@ -349,7 +349,8 @@ static void write_three(const native_form *form, const char *name, const double 
   printf(form->three, name, values[0], values[1], values[2]);
 }
 
-/* The extensions of glTF state the extinction by a transmitted colour at a distance. */
+/* Writes a glTF material. Its extensions state the extinction by a transmitted colour and the
+ * distance at which light has this colour. */
 static void write_gltf(const material *of, const char *scatter, double factor,
                        const double *lengths) {
   const bool draft = strcmp(scatter, "KHR_materials_volume_scatter") == 0;

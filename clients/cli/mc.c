@@ -38,9 +38,9 @@ static const cli_option options[] = {
 
 typedef struct report {
   const dipole_info *info;
-  const char *medium;   /* the only measured one; NULL if there is none */
+  const char *medium;   /* name of the measured medium; NULL: none, or several */
   const char *channel;  /* the name of the channel */
-  const cli_numbers *r; /* none: rings are written */
+  const cli_numbers *r; /* radii for `dipole fit`; none: rings are written */
   cli_parameters parameters;
   dipole_mc_query query;
   dipole_mc_result *result;
@@ -172,7 +172,7 @@ static bool run_job(dipole_client *client, const cli_settings *settings, report 
 
 /* ---- what was walked ------------------------------------------------------------------------- */
 
-/* All channels whose jobs have ended, or one of them. */
+/* Reports of all channels whose jobs have ended, or of one. */
 typedef struct reports {
   size_t count;
   report *items;
@@ -295,7 +295,7 @@ static void put_row(cli_rows *rows, const void *context, size_t index) {
   if (readings) {
     cli_put_text(rows, sample, "sample");
   }
-  if (rows->form != CLI_TABLE) { /* whose titles say this */
+  if (rows->form != CLI_TABLE) { /* the titles of a table say it */
     put_walk(rows, of, 0);
   }
   if (!readings) {

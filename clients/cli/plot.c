@@ -177,9 +177,10 @@ enum { NODES = 2 * CORE_GAUSS_HALF };
 
 typedef struct rings {
   size_t count;
-  double *edges_mm;              /* [count + 1] */
-  double *nodes_mm, *weights_mm; /* [count * NODES], ring by ring, of integrals over r */
-  double *R, *R_error;           /* [channel_count][count] by Monte Carlo */
+  double *edges_mm; /* [count + 1] */
+  /* [count * NODES] nodes and weights of integrals over r, ring by ring */
+  double *nodes_mm, *weights_mm;
+  double *R, *R_error; /* [channel_count][count] by Monte Carlo */
 } rings;
 
 static rings make_rings(const cli_settings *settings) {

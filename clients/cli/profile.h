@@ -21,7 +21,7 @@
      CLI_PARAMETER_BIT(FIT_MODEL) | CLI_PARAMETER_BIT(FIT_FROM) | CLI_PARAMETER_BIT(FIT_TO) |      \
      CLI_PARAMETER_BIT(ETA_BELOW)))
 
-/* The options of the medium: the members from medium to thickness. */
+/* The options that describe the medium: the members of cli_profile from medium to thickness. */
 extern const cli_option cli_medium_options[];
 
 /* For commands that take stacks, behind them: --layer. */
@@ -36,7 +36,7 @@ extern const cli_option cli_layer_options[];
              "f64 or f32: double or single precision; lut: single, by a table (default: f64; lut " \
              "for transport)")
 
-/* The model if none is given, and the reason, for --help. */
+/* The default model and the reason for it, in --help. */
 #define CLI_MODEL_DEFAULT "transport"
 #define CLI_DEFAULT_TEXT                                                                           \
   "\nIf no model is named, it is transport by table: all other models approximate it, and by "     \
@@ -57,7 +57,7 @@ extern const cli_option cli_layer_options[];
       CLI_OPTION(NUMBERS, extinction_path, NULL,                                                   \
                  "instead: 1 / (sigma_a + sigma_s), mm, which most renderers mean")
 
-/* What the colours of an inversion mean. */
+/* Options for the meaning of colours. */
 #define CLI_COLOUR_OPTIONS                                                                         \
   CLI_OPTION(TEXT, light, "beam",                                                                  \
              "the light of the colours: beam, at normal incidence, or diffuse, the same from all " \
@@ -119,11 +119,11 @@ enum { CLI_CHANNEL_BYTES = 36 };
 
 typedef struct cli_profile {
   const dipole_info *info;
-  const dipole_choice *model, *moments, *evaluator; /* NULL if the settings name none */
+  const dipole_choice *model, *moments, *evaluator; /* NULL: the settings do not name it */
   cli_parameters parameters;
   const char *medium; /* names of measured media, as given; NULL if there are none */
   size_t channel_count;
-  char (*names)[CLI_CHANNEL_BYTES]; /* [channel_count] of the channels */
+  char (*names)[CLI_CHANNEL_BYTES]; /* [channel_count] names of the channels */
   uint32_t layer_count;             /* of each medium */
   dipole_medium *media;             /* [channel_count][layer_count] */
 } cli_profile;
@@ -149,9 +149,10 @@ void cli_profile_set_channels(cli_profile *profile, size_t count, uint32_t layer
 enum { CLI_QUANTITIES_MAX = 32 };
 
 typedef struct cli_quantities {
-  unsigned wanted;                                /* the sum of the ids of all of them */
-  size_t count;                                   /* how many have a value for each radius */
-  const dipole_choice *items[CLI_QUANTITIES_MAX]; /* in the daemon's order */
+  unsigned wanted; /* mask of all quantities */
+  size_t count;    /* number of quantities with a value for each radius */
+  /* the quantities, in the order of the daemon's list */
+  const dipole_choice *items[CLI_QUANTITIES_MAX];
 } cli_quantities;
 
 /* Looks up the names. Without names, the quantities in the sum `usual` are wanted. Quantities in

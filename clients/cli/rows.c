@@ -32,7 +32,7 @@ __attribute__((format(printf, 2, 3))) static void add_cell(cli_table *table, con
   va_start(arguments, format);
   vsnprintf(cell, (size_t)length + 1, format, arguments);
   va_end(arguments);
-  libdipole_clean_text(cell); /* names come from files */
+  libdipole_clean_text(cell); /* names may come from files */
   if (table->cell_count == table->cell_capacity) {
     table->cell_capacity = table->cell_capacity == 0 ? 64 : 2 * table->cell_capacity;
     table->cells = cli_resize(table->cells, table->cell_capacity, sizeof *table->cells);
@@ -261,7 +261,7 @@ void cli_put_medium(cli_rows *rows, const dipole_medium *layers, size_t count) {
   cli_put_number(rows, medium->sigma_s_per_mm, "sigma_s", .unit = "1/mm");
   cli_put_number(rows, medium->g, "g");
   cli_put_number(rows, medium->eta, "eta");
-  if (medium->thickness_mm > 0) { /* `dipole fit` refuses this column */
+  if (medium->thickness_mm > 0) { /* `dipole fit` refuses this column, so a half space has none. */
     cli_put_number(rows, medium->thickness_mm, "thickness", .unit = "mm");
   }
 }

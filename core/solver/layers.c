@@ -473,7 +473,7 @@ transport_number solver_layers_at(const solver_layers *solution, size_t side, do
       value_at(solution->grid[0], side, fmin(r, RADIUS_MOST) * solution->radius_mm, &size);
   const double unknown =
       PATH_ERROR * solution->floor[1] * size + DIGITS / (solution->radius_mm * solution->radius_mm);
-  if (!(value > 0) || r > RADIUS_MOST) { /* it is not known but for its size */
+  if (!(value > 0) || r > RADIUS_MOST) { /* the value is not known: its size bounds it */
     return (transport_number){0, isnan(value) ? (double)INFINITY : fabs(value) + unknown};
   }
   const double unit = solution->grid[0]->unit_mm / solution->radius_mm;

@@ -307,7 +307,7 @@ core_fault solver_solve_cones(solver_solution **solution, const core_isa *isa, d
                               const double *sines, size_t cones, double tolerance) {
   *solution = NULL;
   if (cones > SOLVER_CONES_MAX) {
-    return (core_fault){"sine", "0 to 8 of them", 0};
+    return (core_fault){"sine", "at most 8 sines", 0};
   }
   for (size_t i = 0; i < cones; i++) {
     if (!(sines[i] > 0 && sines[i] <= 1)) {
@@ -495,7 +495,7 @@ core_fault solver_totals(solver_total *totals, const core_isa *isa, double sigma
   for (size_t i = 0; i < 2; i++) {
     struct scaled scaled;
     truncate_phase(&scaled, sigma_a_ratio, phase, by[i].moment_least, by[i].moments_most);
-    if (scaled.kappa == 0) { /* The absorbed share is proportional to kappa. */
+    if (scaled.kappa == 0) { /* Nothing is absorbed: the absorbed share is proportional to kappa. */
       for (size_t eta = 0; eta < count; eta++) {
         totals[eta] = (solver_total){{1, 100 * KAPPA_LEAST}, {1, 100 * KAPPA_LEAST}};
       }

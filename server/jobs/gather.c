@@ -10,22 +10,22 @@
 #include "server/jobs/job.h"
 #include "server/store/points.h"
 
-/* What a job needs besides its slot, in one block. */
+/* The memory of a job besides its slot, one block. */
 struct gather_work {
   struct lookup set;
   struct profiles_lookup channels[CORE_GATHER_CHANNELS_MAX];
   struct profiles_lookup ruler; /* transport for the next channel, if its model error needs it */
   double model_error[CORE_GATHER_CHANNELS_MAX];
-  uint32_t ready; /* number of channels whose profiles are prepared */
+  uint32_t ready; /* number of channels whose profiles are ready */
   core_gather_sum *sum;
   core_gather_scratch *scratch;
-  core_gather_visits visits;           /* of the current part */
+  core_gather_visits visits;           /* counts of the current part */
   float worst;                         /* the largest bound of the current part */
-  double cost;                         /* of the queries that have been counted */
-  double done_radii;                   /* of the part's query, if it takes several parts */
+  double cost;                         /* cost of the queries counted so far */
+  double done_radii;                   /* work done on a query that takes several parts */
   uint32_t order[GATHER_PART_QUERIES]; /* of the current part, or of those that are being counted */
   float bounds[GATHER_PART_QUERIES * CORE_GATHER_CHANNELS_MAX];
-  double sums[GATHER_PART_QUERIES * CORE_GATHER_CHANNELS_MAX]; /* of the current part */
+  double sums[GATHER_PART_QUERIES * CORE_GATHER_CHANNELS_MAX]; /* sums of the current part */
 };
 
 struct gather_job {
@@ -40,7 +40,7 @@ struct gather_job {
   struct job_parts parts;
   uint32_t piece;       /* of the part, if it is one query that takes long, from 0 */
   uint32_t piece_count; /* each a part of the reply, of which the last has the sum; else 1 */
-  uint64_t index;       /* position in the part's order of the next query */
+  uint64_t index;       /* index of the next query in the part's order */
 };
 
 JOB_STRUCTURE(struct gather_job, gather_of)
@@ -271,7 +271,7 @@ static void begin_sums(struct gather_job *gather) {
   }
 }
 
-/* Begins the first part, when the cost is known. */
+/* Begins the first part. The cost of the job is known. */
 static enum job_outcome begin_first(struct gather_job *gather) {
   wire_error error = admit_queries(gather);
   if (error.status == WIRE_STATUS_OK) {
@@ -284,7 +284,7 @@ static enum job_outcome begin_first(struct gather_job *gather) {
   return JOB_GOES_ON;
 }
 
-/* Counts on, or begins the first part. */
+/* Counts the cost of further queries, or begins the first part. */
 static enum job_outcome count_or_begin(struct gather_job *gather) {
   const uint64_t n = gather->request.fixed.query_count;
   if (gather->counted == (n < COUNTED_MOST ? n : COUNTED_MOST)) {
@@ -294,7 +294,7 @@ static enum job_outcome count_or_begin(struct gather_job *gather) {
   return JOB_GOES_ON;
 }
 
-/* Does the next thing that the sums need. */
+/* Does the next step of preparation. */
 static enum job_outcome prepare_next(struct gather_job *gather) {
   const struct gather_work *work = gather->work;
   const wire_gather_request *fixed = &gather->request.fixed;
@@ -353,7 +353,7 @@ static enum job_outcome put_gather(struct job *job, uint8_t *payload) {
   return JOB_GOES_ON;
 }
 
-/* Notes the largest bound of a slice. */
+/* Records the largest bound of a slice. */
 static void note_bounds(struct gather_work *work, const uint32_t *order, size_t n,
                         uint32_t channels) {
   for (size_t i = 0; i < n * channels; i++) {

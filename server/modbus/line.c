@@ -86,7 +86,7 @@ static void on_sent(uv_work_t *work, int status) {
     end_probe(line);
     await_silence(line);
   } else if (line->stopping || !uv_is_active((uv_handle_t *)&line->timer)) {
-    worker_run_later(&line->client); /* for what has arrived, if no timer waits for a silence */
+    worker_run_later(&line->client); /* Its turn reads what has arrived, as no timer will. */
   }
   note_closed(line);
 }

@@ -7,8 +7,8 @@
 #include "proto/schema.h"
 
 enum {
-  LINKS_MAX = 24,      /* fields of a structure that have registers */
-  STRUCTURES_MAX = 20, /* in requests and replies of all kinds of jobs */
+  LINKS_MAX = 24,      /* most fields of a structure that have registers */
+  STRUCTURES_MAX = 20, /* most structures of requests and replies */
   NAME_BYTES = 64,
 };
 
@@ -31,12 +31,12 @@ static const schema_message *message_of(enum registers_job_kind kind) {
 struct links {
   enum registers_job_kind kind;
   const schema_structure *structure;
-  const char *prefix; /* of the names of the registers */
+  const char *prefix; /* prefix of the registers' names */
   bool are_results;
   unsigned count;
   struct link {
     const schema_field *field;
-    size_t at; /* in the structure */
+    size_t at; /* offset of the field in the structure */
     const registers_field *registers;
   } items[LINKS_MAX];
 };
@@ -76,7 +76,7 @@ static double number_of(const uint16_t image[REGISTERS_END], const registers_fie
                                                : registers_number(image, field->address);
 }
 
-/* Writes those fields of a structure that have registers; what is not given is 0. */
+/* Writes those fields of a structure that have registers. A field that is not given becomes 0. */
 static void put_fields(enum registers_job_kind kind, const schema_structure *structure,
                        const char *prefix, const uint16_t image[REGISTERS_END], uint8_t *to) {
   const struct links *links = links_of(kind, structure, prefix, false);
@@ -93,7 +93,7 @@ static void put_fields(enum registers_job_kind kind, const schema_structure *str
 /* The quantities of a sample that have registers. */
 #define SAMPLE_WANTED (CORE_QUANTITY_RADIUS | CORE_QUANTITY_PDF | CORE_QUANTITY_MODEL_ERROR)
 
-/* Leaves those parameters that Monte Carlo takes. */
+/* Removes all parameters but those that Monte Carlo accepts. */
 static void keep_walks(core_parameters *parameters) {
   static const unsigned walks[] = {CORE_PARAMETER_PHASE, CORE_PARAMETER_PHASE_SHARE,
                                    CORE_PARAMETER_PHASE_G, CORE_PARAMETER_DETECTOR_NA};
@@ -211,7 +211,8 @@ size_t modbus_translate_input(enum registers_job_kind kind, const uint16_t image
       bytes += part->rest ? put : 0;
     } else if (count > 0 && part->kind == SCHEMA_LIST) {
       put_fields(kind, part->structure, "", image, to);
-      if (strcmp(part->name, "reference") == 0) { /* whose thickness is that of the medium */
+      /* The reference medium has the thickness of the medium. */
+      if (strcmp(part->name, "reference") == 0) {
         put_fields(kind, part->structure, "reference_", image, to);
       }
     } else if (count > 0 && kind == REGISTERS_JOB_FIT && part->form == SCHEMA_SETS) {
@@ -228,7 +229,7 @@ size_t modbus_translate_input(enum registers_job_kind kind, const uint16_t image
 /* An array of values in the precision of the evaluator. `at` is NULL if there is no array. */
 struct values {
   const uint8_t *at;
-  size_t bytes; /* size of one value */
+  size_t bytes; /* bytes of one value */
 };
 
 static double value_at(const struct values *values, unsigned index) {

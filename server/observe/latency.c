@@ -6,7 +6,7 @@
 
 /* ---- histograms ------------------------------------------------------------------------------ */
 
-enum { LEAST_SHIFT = HISTOGRAM_LEAST_OCTAVE - 5 }; /* 2^5 buckets in an octave */
+enum { LEAST_SHIFT = HISTOGRAM_LEAST_OCTAVE - 5 }; /* 2^5 buckets in each octave */
 _Static_assert(HISTOGRAM_SPLIT == 1 << 5, "LEAST_SHIFT");
 
 /* Returns the bucket of a duration. The octave 2^k to 2^(k+1) ns has 32 buckets of 2^(k-5) ns.
@@ -57,7 +57,8 @@ uint64_t histogram_quantile_ns(const struct histogram_sum *sum, double share) {
   if (sum->count == 0) {
     return 0;
   }
-  const double rank = ceil(share * (double)sum->count); /* position in sorted durations, from 1 */
+  /* rank among the sorted durations, from 1 */
+  const double rank = ceil(share * (double)sum->count);
   uint64_t below = 0;
   size_t bucket = 0;
   for (; bucket + 1 < HISTOGRAM_BUCKETS; bucket++) {

@@ -41,14 +41,14 @@ struct cache_key;
 
 /* A kind of things. */
 struct cache_kind {
-  size_t thing_bytes; /* of its structure */
+  size_t thing_bytes; /* size of the thing's structure */
 
   /* Prepares a thing, all of whose bytes are 0, from its key and nothing else, so that the bits do not
    * depend on who asks first. May give up with CORE_FIELD_STOPPED when *stop is set. */
   core_fault (*prepare)(void *thing, const struct cache_key *key, const core_isa *isa,
                         const atomic_bool *stop);
-  void (*free)(void *thing);            /* what it owns */
-  uint64_t (*bytes)(const void *thing); /* of what it owns */
+  void (*free)(void *thing);            /* frees what the thing owns */
+  uint64_t (*bytes)(const void *thing); /* returns the bytes of what it owns */
 
   /* Take and release a reference to the source of a key. NULL: keys have none. */
   void (*hold)(void *source);
@@ -63,7 +63,7 @@ struct cache_key {
   const struct cache_kind *kind;
   const void *content;
   size_t content_bytes;
-  uint64_t hash; /* of the content, see cache_hash() */
+  uint64_t hash; /* hash of the content, see cache_hash() */
   void *source;  /* what is needed besides to prepare it; NULL: no new entry is made */
 };
 
@@ -87,9 +87,10 @@ LIST_HEAD(cache_waiters, lookup);
 /* The owner of waiters for slow things, for example a connection. Owners take turns. Before the
  * first use, set all members to 0. The cache's mutex guards them. */
 struct cache_owner {
-  TAILQ_HEAD(cache_waiting, lookup) waiters; /* for entries whose preparation has not begun */
-  uint64_t count;                            /* number of these waiters */
-  TAILQ_ENTRY(cache_owner) in_turns;         /* while count is above 0 */
+  /* waiters for entries whose preparation has not begun */
+  TAILQ_HEAD(cache_waiting, lookup) waiters;
+  uint64_t count;                    /* number of waiters */
+  TAILQ_ENTRY(cache_owner) in_turns; /* member of the list of turns if count > 0 */
 };
 
 /* What all lookups of one worker share; only its thread uses it. */

@@ -21,10 +21,10 @@
 
 #include "server/store/cache.h"
 
-/* The key of a profile: everything from which it is prepared. Two profiles are the same if their keys
- * have the same bytes up to their last layer: there is no padding, 0 has no sign, and all parameters
- * that are not given are the same NaN. The angles of S are not in the key, because a job sets them in its copy of the
- * profile. */
+/* The key of a profile: everything from which it is prepared. Two profiles are the same if the
+ * bytes of their keys up to the last layer are the same. For that, a key has no padding, no -0, and
+ * one NaN for all parameters that are not given. The angles of S are not in the key, because a job
+ * sets them in its copy of the profile. */
 struct profiles_key {
   uint64_t hash_before_medium;
   uint64_t hash;
@@ -33,7 +33,7 @@ struct profiles_key {
   uint32_t evaluator;
   uint32_t layer_count;
   double parameters[CORE_PARAMETERS_END];
-  core_medium medium[CORE_LAYERS_MAX]; /* the first layer_count count */
+  core_medium medium[CORE_LAYERS_MAX]; /* the layers: the first layer_count count */
 };
 
 /* Sets the members of the key that all channels of a request share. */
@@ -48,7 +48,7 @@ bool profiles_key_equal(const struct profiles_key *a, const struct profiles_key 
 /* Returns the key in the form of the cache, whose content `key` is. */
 struct cache_key profiles_cache_key(const struct profiles_key *key, const struct cache_kind *kind);
 
-extern const struct cache_kind profiles_kind; /* whose things are core_profile */
+extern const struct cache_kind profiles_kind; /* kind of thing: core_profile */
 
 /* A profile is found by its hash: in one of PROFILES_SETS sets, in any of its PROFILES_WAYS
  * slots. */
@@ -56,7 +56,7 @@ enum { PROFILES_SETS = 64, PROFILES_WAYS = 4 };
 
 struct profiles_slot {
   uint64_t version;          /* rises whenever the slot gets another profile or is emptied */
-  unsigned pins;             /* The slot keeps its profile while this is above 0. */
+  unsigned pins;             /* number of users; the slot keeps its profile while it is above 0 */
   struct cache_entry *entry; /* reference to the cache entry; NULL: the profile owns no memory */
   struct profiles_key key;   /* has model 0, which no model has, if the slot is empty */
   core_profile profile;
@@ -71,11 +71,11 @@ struct profiles_place {
 
 /* The store of one worker; only its thread uses it. */
 struct profiles {
-  struct lookups lookups; /* for profiles and for all other kinds */
+  struct lookups lookups; /* lookups of profiles and of all other kinds */
   bool keeps;             /* false if the cache has 0 bytes: the table then stays empty */
   struct profiles_set {
     uint64_t hashes[PROFILES_WAYS];
-    unsigned next; /* position of the slot that is replaced next */
+    unsigned next; /* index of the slot that is replaced next */
     struct profiles_slot slots[PROFILES_WAYS];
   } sets[PROFILES_SETS];
 };
@@ -83,13 +83,13 @@ struct profiles {
 /* A job's lookup of one profile after the other. Before profiles_start(), set on_ready, context and
  * owner of `cached`, and all other members to 0. */
 struct profiles_lookup {
-  struct lookup cached; /* of the entry that was copied */
+  struct lookup cached; /* lookup of the cache entry that was copied */
   struct profiles_key key;
   core_parameters parameters;
   bool ready;                  /* whether `profile` is valid, until profiles_return() */
   core_profile profile;        /* a copy, with the angles of the request */
   struct profiles_place place; /* of the profile without the angles, if the table has it */
-  core_fault fault;            /* after LOOKUP_FAULT: why there is no profile */
+  core_fault fault;            /* after LOOKUP_FAULT: the fault */
 };
 
 /* Sets up the store. It calls wake(context), on any thread, when the worker should call

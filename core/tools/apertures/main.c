@@ -185,7 +185,7 @@ static void write_table(const struct solved *media, const char *path) {
   transform(first, ETAS * of_eta, RATIOS, PLACES);
   transform(first, ETAS * of_eta, CONES, (size_t)RATIOS * PLACES);
   transform(first, ETAS * of_eta, GS, (size_t)CONES * RATIOS * PLACES);
-  /* The node of eta = 1 is the last below 1, where v is 0. */
+  /* The nodes of eta up to 1 come first. The last of them has eta = 1, where v is 0. */
   for (size_t i = 0; i < of_eta; i++) {
     double below[BELOW];
     for (size_t e = 0; e < BELOW; e++) {
