@@ -35,7 +35,7 @@ static const cli_option options[] = {
     {0},
 };
 
-/* What a file says of each channel, or of all (channels 1). */
+/* A fact about each channel, or about all (channels 1), that a file states. */
 typedef struct fact {
   const char *name, *about;
   double values[CLI_COLOURS];
@@ -43,7 +43,7 @@ typedef struct fact {
 
 enum { FACTS_MAX = 16 };
 
-/* What is written: rows of numbers, and facts. */
+/* What is written into files: rows of numbers, and facts. */
 typedef struct sheet {
   const char *kind;
   size_t rows, columns, channels;
@@ -87,8 +87,9 @@ typedef struct taps {
   size_t count;
   double range_mm;
   double offsets[TAPS_MAX];
-  double ends[TAPS_MAX + 1]; /* of the bins; the first and last mirror the half of their bin */
-  double edge[TAPS_MAX + 1]; /* E there, 0 and 1 at the first and last */
+  /* ends of the taps' bins; the first and last bin are symmetric about their tap */
+  double ends[TAPS_MAX + 1];
+  double edge[TAPS_MAX + 1]; /* E at these ends; 0 at the first, 1 at the last */
 } taps;
 
 static void lay_taps(const double *r_mm, size_t count, double range_mm, taps *of) {
@@ -108,8 +109,8 @@ static void lay_taps(const double *r_mm, size_t count, double range_mm, taps *of
   of->edge[count] = 1;
 }
 
-/* Returns the largest difference between E and the edge of the kernel, whose taps spread their light
- * evenly over their bins. */
+/* Returns the largest difference between E and the edge that the kernel gives, if each tap spreads
+ * its light evenly over its bin. */
 static double edge_error(const double *r_mm, const taps *of) {
   enum { PARTS = 8 };
   double worst = 1 - cli_edge_at(r_mm, of->ends[of->count]);
@@ -124,7 +125,7 @@ static double edge_error(const double *r_mm, const taps *of) {
   return worst;
 }
 
-/* Returns the range with the least error, of RANGES in equal ratios. */
+/* Returns the range R with the smallest error among RANGES values in equal ratios. */
 static double best_range(const double *r_mm, size_t count) {
   enum { RANGES = 80 };
   const double least = r_mm[CLI_EDGE_RADII / 2];
@@ -329,7 +330,7 @@ static int make_lut(bake *of) {
 
 /* ---- colours --------------------------------------------------------------------------------- */
 
-/* Asks for the albedos of single scattering of `count` colours from 0 to 1, both included. */
+/* Requests the albedos of single scattering of `count` colours in equal steps from 0 to 1. */
 static bool ask_albedos(const bake *of, const dipole_choice *light, size_t count, double *albedos) {
   const cli_settings *settings = of->settings;
   double *colours = cli_allocate(2 * count, sizeof *colours), *lengths_mm = colours + count;
@@ -376,10 +377,11 @@ static int make_colour_map(bake *of) {
   }
   set_rows(&of->sheet, size, 1, names);
   for (size_t i = 0; i < size; i++) {
-    of->sheet.values[i] = isnan(albedos[2 * i]) ? 0 : albedos[2 * i]; /* darker than any medium */
+    /* the colour is darker than that of any medium */
+    of->sheet.values[i] = isnan(albedos[2 * i]) ? 0 : albedos[2 * i];
   }
-  /* In the middle between two colours, a difference of the albedo is one of the colour over the slope
-   * there. */
+  /* Half-way between two colours, an error of the albedo causes an error of the colour: it is
+   * divided by the slope there. */
   for (size_t i = 1; i + 1 < size; i++) {
     const double middle = albedos[2 * i + 1], low = albedos[2 * i], high = albedos[2 * i + 2];
     const double off = fabs(0.5 * (low + high) - middle) / ((high - low) * (double)(size - 1));
@@ -485,7 +487,7 @@ static void put_facts(const sheet *of, FILE *file, const char *before) {
   }
 }
 
-/* Writes a row, with text before, between and behind its numbers. */
+/* Writes a row, with texts before, between and after its numbers. */
 static void put_values(const sheet *of, size_t row, const char *first, const char *between,
                        const char *last) {
   printf("%s", first);
@@ -538,8 +540,8 @@ static void write_json(const sheet *of) {
   printf(" ]}\n");
 }
 
-/* One-dimensional tables: .spi1d of OpenColorIO, which has no comments but above its head, and .cube
- * of Adobe. */
+/* Writes one-dimensional tables: .spi1d of OpenColorIO, in which comments may only precede the
+ * head, or .cube of Adobe. */
 static void write_colours(const sheet *of, bool cube) {
   if (cube) {
     put_facts(of, stdout, "# ");
@@ -644,7 +646,7 @@ static int check(cli_settings *settings) {
   return kind->of_medium ? cli_medium_check(settings) : CLI_OK;
 }
 
-/* Sets the radii, and what all kinds say of the media. */
+/* Sets the radii, and the facts that all kinds of files state about the media. */
 static int take_media(bake *of) {
   double numbers[5][CLI_COLOURS], *const colours = numbers[4];
   const int status = cli_profile_take(of->settings, of->client, &of->profile);
