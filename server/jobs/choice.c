@@ -211,7 +211,8 @@ core_parameters choice_parameters(const struct choice_state *state, const eval_r
   core_parameters parameters = request->parameters;
   double *tolerance = &parameters.value[CORE_PARAMETER_TOLERANCE];
   const double most = isnan(state->tolerance) ? *tolerance : state->tolerance;
-  if (request->fixed.evaluator != CORE_EVALUATOR_LUT &&
+  const bool is_half_space = request->fixed.layer_count == 1 && !(medium->thickness_mm > 0);
+  if (is_half_space && request->fixed.evaluator != CORE_EVALUATOR_LUT &&
       stored_error(request, medium, radii) < most * (1 - 1e-9)) {
     *tolerance = (double)NAN;
   } else if (state->finest) {

@@ -128,6 +128,10 @@ UNIT_TEST(a_named_tolerance_counts_at_the_radii) {
   const core_radii_range near = {0.05, 10}; /* the table is less exact there */
   parameters = choice_parameters(&named, &request, tissue, near);
   assert_true(parameters.value[CORE_PARAMETER_TOLERANCE] == 5e-4);
+  core_medium slab = *tissue; /* the table has half spaces alone */
+  slab.thickness_mm = 2;
+  parameters = choice_parameters(&named, &request, &slab, RADII);
+  assert_true(parameters.value[CORE_PARAMETER_TOLERANCE] == 5e-4);
   request.fixed.evaluator = CORE_EVALUATOR_LUT;
   assert_false(choice_heeds_radii(&named, &request));
   request.fixed.evaluator = CORE_EVALUATOR_F64;
