@@ -107,10 +107,10 @@ static bool save_tables(const char *path, const tables *of) {
 
 /* ---- evaluating ------------------------------------------------------------------------------ */
 
-/* Returns whether two tables are of the same model, moments and parameters. */
+/* Returns whether two tables are of the same model, moments, parameters and number of layers. */
 static bool is_same_profile(const dipole_table_info *a, const dipole_table_info *b) {
-  bool same =
-      a->model == b->model && a->moments == b->moments && a->parameter_count == b->parameter_count;
+  bool same = a->model == b->model && a->moments == b->moments &&
+              a->layer_count == b->layer_count && a->parameter_count == b->parameter_count;
   for (size_t i = 0; same && i < a->parameter_count; i++) {
     same = a->parameters[i].id == b->parameters[i].id &&
            a->parameters[i].value == b->parameters[i].value;
@@ -135,11 +135,12 @@ static int describe(const char *path, const tables *of, cli_eval_report *report)
     cli_parameters_set(&report->profile.parameters, first->parameters[i].id,
                        first->parameters[i].value);
   }
-  cli_profile_set_channels(&report->profile, of->count, 1);
+  cli_profile_set_channels(&report->profile, of->count, first->layer_count);
   for (size_t i = 0; i < of->count; i++) {
     const dipole_table_info *info = dipole_table_get_info(of->items[i]);
     if (!is_same_profile(first, info)) {
-      return cli_fail("%s: tables 1 and %zu differ in model, moments or parameters: put them into "
+      return cli_fail("%s: tables 1 and %zu differ in model, moments, parameters or number of "
+                      "layers: put them into "
                       "separate files",
                       path, i + 1);
     }
@@ -151,7 +152,8 @@ static int describe(const char *path, const tables *of, cli_eval_report *report)
                  cli_colours[k % CLI_COLOURS]);
       }
     }
-    report->profile.media[i] = info->medium;
+    memcpy(&report->profile.media[i * info->layer_count], info->layers,
+           info->layer_count * sizeof *info->layers);
     report->models[0].notes |= info->notes;
   }
   return CLI_OK;

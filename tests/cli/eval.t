@@ -423,3 +423,7 @@ $ dipole eval --layer 2,5,0.8,1.4,0.05 --layer 0.1,10,0.8,1.33 --model transport
 model,channel,layers,r,R,albedo,numerical_error,model_error,evaluator,notes
 transport,1,"2,5,0.8,1.4,0.05 0.1,10,0.8,1.33",1,0.0180815...,0.268918...,0,f64,
 transport,1,"2,5,0.8,1.4,0.05 0.1,10,0.8,1.33",2,0.003222...,0.268918...,0,f64,
+
+$ dipole table --layer 2,5,0.8,1.4,0.05 --layer 0.1,10,0.8,1.33 --tolerance 0.1 --output layers.dt > /dev/null; dipole eval --table layers.dt --r 1 --format csv
+model,channel,layers,r,R,albedo,numerical_error,model_error,evaluator,notes
+transport,1,"2,5,0.8,1.4,0.05 0.1,10,0.8,1.33",1,0.018...,0.268...,0,lut,

@@ -106,7 +106,7 @@ def test_files_that_are_none(tmp_path):
         (damaged, "table 1: this is not an intact table: its counts or its checksum are wrong"),
         (data + damaged, "table 2: this is not an intact table"),
         (data + b"\n", "table 2: this is not an intact table: it is too short"),
-        (data[:24] + b"\1" + data[25:], "this table has layout 1, but this library reads layout 4"),
+        (data[:24] + b"\1" + data[25:], "this table has layout 1, but this library reads layout 5"),
     ]:
         bad = scratch(tmp_path, "bad", content)
         run = dipole("eval", "--table", bad, "--r", "1", status=FAILED)
@@ -119,4 +119,4 @@ def test_files_of_several_models(client, tmp_path):
     both = client.table("better", (1, 1, 0, 1.3)).data + client.table("burley", (1, 1, 0, 1.3)).data
     path = scratch(tmp_path, "both", both)
     run = dipole("eval", "--table", path, status=FAILED)
-    assert "tables 1 and 2 differ in model, moments or parameters" in run.stderr
+    assert "tables 1 and 2 differ in model, moments, parameters or number of layers" in run.stderr
