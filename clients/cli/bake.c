@@ -643,7 +643,7 @@ static int check(cli_settings *settings) {
       return cli_fail_usage("--range: more than 0");
     }
   }
-  return kind->of_medium ? cli_medium_check(settings) : CLI_OK;
+  return kind->of_medium ? cli_edge_check_medium(settings) : CLI_OK;
 }
 
 /* Sets the radii, and the facts that all kinds of files state about the media. */

@@ -501,7 +501,7 @@ static int check(cli_settings *settings) {
     return CLI_USAGE;
   }
   if (from == NULL) {
-    return cli_medium_check(settings);
+    return cli_edge_check_medium(settings);
   }
   if (settings->operand != NULL && !read_file(settings, from)) {
     return CLI_FAILED;

@@ -97,6 +97,12 @@ def test_broken_files_are_refused(tmp_path, name):
     assert "cannot read" in dipole("convert", "--from", name, str(tmp_path / "none"), status=1).stderr
 
 
+def test_a_slab_has_no_convention():
+    slab = ["--medium", "skin1", "--thickness", "2"]
+    refused = dipole("convert", "--from", "coefficients", *slab, "--to", "openpbr", status=2)
+    assert "half spaces" in refused.stderr
+
+
 def test_a_convention_without_files(tmp_path):
     (tmp_path / "x").write_text("{}")
     assert "files are read" in dipole("convert", "--from", "unity", str(tmp_path / "x"), status=1).stderr
