@@ -211,8 +211,8 @@ static double complex weighted(double complex exitance, double complex k, double
   return exitance * k * CMPLX(0, -2 / FN_PI) * transport_bessel_k(CMPLX(0, -r) * k).k0;
 }
 
-/* Adds the integral over one interval of a panel, whose ends are positions in it, 0 to 1, and that of the
- * integrand's modulus. */
+/* Adds the integral over one interval of a panel, whose ends are positions in it, 0 to 1, and that
+ * of the integrand's modulus. */
 static void add_interval(double *sum, double *size, const exitance_grid *of,
                          const exitance_series *at, const gauss_rule *rule, size_t panel,
                          double begin, double end, double r) {

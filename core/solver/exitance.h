@@ -29,8 +29,9 @@ typedef struct exitance_grid {
 } exitance_grid;
 
 /* Sets *to, with panels that double in width. kappa: the decay rate of R far away, 0 or at least
- * 1e-9. share: Im k / kappa where the path begins, 0 to less than 1. scale: the least scaled extinction
- * that light meets, which limits Im k. nodes: 8 to EXITANCE_NODES_MAX. tier_end: ascending. */
+ * 1e-9. share: Im k / kappa where the path begins, 0 to less than 1. scale: the least scaled
+ * extinction that light meets, which limits Im k. nodes: 8 to EXITANCE_NODES_MAX. tier_end:
+ * ascending. */
 void solver_exitance_place(exitance_grid *to, const core_isa *isa, double kappa, double share,
                            double scale, size_t nodes, const double tier_end[EXITANCE_TIERS]);
 
@@ -48,13 +49,13 @@ typedef struct exitance_series {
   double complex step, bend;
 } exitance_series;
 
-/* Sets *to from X at all nodes. has_tail: whether X falls slowly beyond K; if not, what is left at K
- * goes on as k^-5. far: the limit of k^2 X. Returns false if an equation is singular. */
+/* Sets *to from X at all nodes. has_tail: whether X falls slowly beyond K; if not, what is left at
+ * K goes on as k^-5. far: the limit of k^2 X. Returns false if an equation is singular. */
 bool solver_exitance_make(exitance_series *to, const exitance_grid *of, bool has_tail, double far,
                           const double complex *values);
 
-/* Returns R at the radius r, above 0, per squared unit of length. *size is set to the same integral over
- * the modulus of the integrand: an error of X counts in proportion to it. */
+/* Returns R at the radius r, above 0, per squared unit of length. *size is set to the same integral
+ * over the modulus of the integrand: an error of X counts in proportion to it. */
 double solver_exitance_at(const exitance_series *at, const exitance_grid *of, double r,
                           double *size);
 

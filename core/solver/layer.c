@@ -273,7 +273,7 @@ bool solver_layer_halfspace(const expansion *of, double complex k, double kappa,
   return ok;
 }
 
-/* ---- layers of finite thickness ------------------------------------------------------------------ */
+/* ---- layers of finite thickness ------------------------------------------------------------ */
 
 static double sign_of_row(const expansion *of, size_t row) {
   size_t m = 0;
@@ -283,9 +283,9 @@ static double sign_of_row(const expansion *of, size_t row) {
   return m % 2 == 0 ? 1 : -1;
 }
 
-/* Sets *to to step times the matrix of -v' = Xm u or -u' = Xp v: the base for k = 0 with k C and the
- * closure, the beam's column -a (b+ + sign b-), and 1 in the corner; with a column and a row more,
- * those are apart: -a b+, -a sign b-, and 1 in both corners. */
+/* Sets *to to step times the matrix of -v' = Xm u or -u' = Xp v: the base for k = 0 with k C and
+ * the closure, the beam's column -a (b+ + sign b-), and 1 in the corner; with a column and a row
+ * more, those are apart: -a b+, -a sign b-, and 1 in both corners. */
 static void fill_rates(const struct work *by, const dense *to, const double *base, double sign,
                        double step) {
   const expansion *of = by->of;
@@ -337,8 +337,8 @@ static bool pade(const dense *to, const dense *a, const dense *b, const dense *z
   return solver_dense_solve(left, to);
 }
 
-/* How often a layer is halved until its start is exact: the stiffest modes, whose rate is G, are lost
- * by repetition. */
+/* How often a layer is halved until its start is exact: the stiffest modes, whose rate is G, are
+ * lost by repetition. */
 static int halvings_of(const expansion *of, double complex k, double depth) {
   enum { LEAST = 4 };
   const double functions = (double)of->first[1] / (double)of->panels;
@@ -385,8 +385,8 @@ static dense shaped(const dense *of, size_t rows) {
   return made;
 }
 
-/* Sets what a thin layer scatters at most once. Without more scattering Xm and Xp are alike but for the
- * sign of b-, so that one approximant has what passes, with the columns of b+ and b-. */
+/* Sets what a thin layer scatters at most once. Without more scattering Xm and Xp are alike but for
+ * the sign of b-, so that one approximant has what passes, with the columns of b+ and b-. */
 static bool find_once(const struct work *by, const layer_operators *to, const dense *thin,
                       double step) {
   const expansion *of = by->of;

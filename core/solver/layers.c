@@ -1,5 +1,6 @@
-/* R and T of layers: see solver.c for the way from wavenumbers to radii, stack.c for one wavenumber and
- * ways.c for light that was scattered once. Lengths are in scaled mean free paths of the first layer. */
+/* R and T of layers: see solver.c for the way from wavenumbers to radii, stack.c for one wavenumber
+ * and ways.c for light that was scattered once. Lengths are in scaled mean free paths of the first
+ * layer. */
 #include <assert.h>
 #include <math.h>
 #include <stdlib.h>
@@ -13,13 +14,13 @@
 
 enum { SIDES = SOLVER_SIDES, GRIDS = 2 };
 
-/* The reduced mean free paths of the first layer from where on a tolerance is kept, and up to which R
- * and T are known. */
+/* The reduced mean free paths of the first layer from where on a tolerance is kept, and up to which
+ * R and T are known. */
 #define RADIUS_COUNTS 0.05
 #define RADIUS_MOST 1e3
 
-/* Grids for layers. Functions of an even number of degrees, order 0 that is, are the better ones: beyond
- * k = 5 those of odd numbers are off by up to 10 times as much, and the other way. */
+/* Grids for layers. Functions of an even number of degrees, order 0 that is, are the better ones:
+ * beyond k = 5 those of odd numbers are off by up to 10 times as much, and the other way. */
 enum { LEVELS = 6 };
 static const struct level levels[LEVELS] = {
     {1e-3,
@@ -60,18 +61,19 @@ static const struct level levels[LEVELS] = {
      {{0.3, {6, 14, 5}}, {1, {8, 16, 5}}, {3, {11, 20, 6}}, {9, {12, 26, 8}}}},
 };
 
-/* At most so many grids are solved, and the next one only if those that are left promise to reach the
- * tolerance of R or of T: each is up to so many times as good as the one before. */
+/* At most so many grids are solved, and the next one only if those that are left promise to reach
+ * the tolerance of R or of T: each is up to so many times as good as the one before. */
 enum { GRIDS_MOST = 4 };
 #define GAIN 2.0
 
-/* Stated errors over the grids' difference. Grids share their errors more than those of a half space:
- * in a slab of 0.25 mean free paths T was off by 2.8 times the difference, in three layers R by 3.7. */
+/* Stated errors over the grids' difference. Grids share their errors more than those of a half
+ * space: in a slab of 0.25 mean free paths T was off by 2.8 times the difference, in three layers R
+ * by 3.7. */
 #define MARGIN 4.0
 
-/* X on the path is known as well as this part of the floor far away, relative. Where its contributions
- * cancel, far from the beam and in T of slabs that let nearly nothing through, it counts more. What is
- * smaller by DIGITS than 1 per squared reduced mean free path is not known. */
+/* X on the path is known as well as this part of the floor far away, relative. Where its
+ * contributions cancel, far from the beam and in T of slabs that let nearly nothing through, it
+ * counts more. What is smaller by DIGITS than 1 per squared reduced mean free path is not known. */
 #define PATH_ERROR 0.03
 #define DIGITS 2e-19
 
@@ -98,7 +100,7 @@ struct solver_layers {
   double error[SIDES][SOLVER_ERROR_RADII];
 };
 
-/* ---- the medium --------------------------------------------------------------------------------------- */
+/* ---- the medium ---------------------------------------------------------------------------- */
 
 static void truncate_layers(struct grid *to, const struct solver_layers *of, double moment_least,
                             size_t moments_most) {
@@ -127,7 +129,7 @@ static void truncate_layers(struct grid *to, const struct solver_layers *of, dou
   solver_ways_find(&to->ways, to->layer, of->count, of->eta_below, STACK_REFLECTIONS);
 }
 
-/* ---- decay far away ------------------------------------------------------------------------------------- */
+/* ---- decay far away ------------------------------------------------------------------------ */
 
 static double diffusion_of(const struct grid *of, const struct solver_layers *all, size_t i) {
   const double absorbed = all->layer[i].sigma_a_per_mm * of->unit_mm;
@@ -137,8 +139,8 @@ static double diffusion_of(const struct grid *of, const struct solver_layers *al
   return kappa > 1e-6 ? absorbed / (kappa * kappa) : 1 / (3 * reduced);
 }
 
-/* Returns by how much diffusion theory misses a solution that decays at the rate c along the layers: the
- * first zero is the least rate. */
+/* Returns by how much diffusion theory misses a solution that decays at the rate c along the
+ * layers: the first zero is the least rate. */
 static double missed(const struct grid *of, const struct solver_layers *all, double c) {
   const double index = all->layer[0].eta;
   const double inside = index > 1 ? 1 - 1 / (index * index) : 0, d0 = diffusion_of(of, all, 0);
@@ -197,11 +199,11 @@ static double rate_of(const struct grid *of, const struct solver_layers *all) {
   return most;
 }
 
-/* ---- one grid ------------------------------------------------------------------------------------------- */
+/* ---- one grid ------------------------------------------------------------------------------ */
 
-/* Scaled mean free paths below which a first layer is thin, and all layers of finite depth; largest k
- * over the scaled extinction that the functions of angle resolve in a layer that light crosses, and in
- * the last one. */
+/* Scaled mean free paths below which a first layer is thin, and all layers of finite depth; largest
+ * k over the scaled extinction that the functions of angle resolve in a layer that light crosses,
+ * and in the last one. */
 #define THIN 2.0
 #define THIN_ALL 5.0
 #define RESOLVED 20
@@ -252,9 +254,9 @@ static void place_wavenumbers(struct grid *to, const struct solver_layers *of,
   solver_exitance_place(to->wavenumbers, NULL, to->rate, by->share, all_least, by->nodes, end);
 }
 
-/* T falls, where it crosses thick layers as e^(-k depth), and from where on it is smaller than what the
- * functions of angle do not resolve, k^2 T rises again. Sets *to to the panels up to there, and returns
- * whether it is less than all. */
+/* T falls, where it crosses thick layers as e^(-k depth), and from where on it is smaller than what
+ * the functions of angle do not resolve, k^2 T rises again. Sets *to to the panels up to there, and
+ * returns whether it is less than all. */
 static bool cut_noise(exitance_grid *to, const exitance_grid *all, const double complex *values) {
   double most = 0, least = 0;
   size_t at = 0;
@@ -336,7 +338,7 @@ static double value_at(const struct grid *of, size_t side, double r_mm, double *
   return value / area;
 }
 
-/* ---- solutions -------------------------------------------------------------------------------------------- */
+/* ---- solutions ----------------------------------------------------------------------------- */
 
 static const core_fault no_fault = {NULL, NULL, 0};
 static const core_fault memory_fault = {CORE_FIELD_MEMORY, "enough for the solution", 0};
@@ -379,8 +381,8 @@ static core_fault check_layers(const solver_layer *layer, size_t count, double e
 /* Below this many times 1 / K, R and T are made of waves beyond K, which both grids guess. */
 #define GUESSED 4.0
 
-/* Compares the two grids, and sets the largest relative errors of R and T at radii that a tolerance is
- * for. */
+/* Compares the two grids, and sets the largest relative errors of R and T at radii that a tolerance
+ * is for. */
 static void find_errors(solver_layers *of, double worst[SIDES]) {
   const struct grid *fine = of->grid[0];
   for (size_t side = 0; side < of->sides; side++) {
@@ -457,7 +459,7 @@ void solver_layers_free(solver_layers *solution) {
   }
 }
 
-/* ---- values ----------------------------------------------------------------------------------------------- */
+/* ---- values -------------------------------------------------------------------------------- */
 
 transport_number solver_layers_at(const solver_layers *solution, size_t side, double r_mm) {
   assert(side < SOLVER_SIDES && r_mm >= 0);
@@ -482,7 +484,7 @@ transport_number solver_layers_at(const solver_layers *solution, size_t side, do
   return (transport_number){value, error * value + unknown};
 }
 
-/* ---- balance ---------------------------------------------------------------------------------------------- */
+/* ---- balance ------------------------------------------------------------------------------- */
 
 /* A half space that absorbs less than this part of what it scatters, reflects all light. */
 #define ABSORBED_LEAST 1e-14

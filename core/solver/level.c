@@ -1,13 +1,13 @@
 /* `far`: light that is scattered twice and comes back to where it entered runs along a triangle.
- * The number of triangles of size l is in proportion to dl / l, so that R2(r) = far / (2 pi) ln(1
- * / r) + ..., with
+ * The number of triangles of size l is in proportion to dl / l, so that R2(r) = far / (2 pi) ln(1 /
+ * r) + ..., with
  *
  *   far = (2 pi a)^2 int_0^pi/2 T(mu) mu dtheta int_theta^pi p(cos t) p(-cos(t - theta)) dt,
  *
  * mu = cos(theta), theta the angle at which the light leaves, t the angle by which it is deflected
- * first. Light that leaves on the far side, where the beam arrives, has p(-cos t) in place of p(cos t).
- * The light that leaves within a cone of angles has its own X, whose integral over
- * theta ends at the cone's edge. */
+ * first. Light that leaves on the far side, where the beam arrives, has p(-cos t) in place of p(cos
+ * t). The light that leaves within a cone of angles has its own X, whose integral over theta ends
+ * at the cone's edge. */
 #include "core/solver/level.h"
 
 #include <math.h>
@@ -16,7 +16,7 @@
 #include "core/transport/gauss.h"
 #include "core/transport/single.h"
 
-/* ---- how finely ----------------------------------------------------------------------------- */
+/* ---- how finely ---------------------------------------------------------------------------- */
 
 const struct level solver_levels[SOLVER_LEVELS] = {
     {1e-4,
@@ -65,7 +65,7 @@ bool solver_stops(const atomic_bool *stop) {
   return stop != NULL && atomic_load_explicit(stop, memory_order_relaxed);
 }
 
-/* ---- phase functions ------------------------------------------------------------------------- */
+/* ---- phase functions ----------------------------------------------------------------------- */
 
 double solver_moment_at(const solver_phase *phase, size_t l) {
   if (phase->moments > 0) {
@@ -119,7 +119,7 @@ double solver_beam_reflectance(double one, double other) {
   return root * root;
 }
 
-/* ---- errors by two grids ---------------------------------------------------------------------- */
+/* ---- errors by two grids ------------------------------------------------------------------- */
 
 double solver_error_between(double margin, double fine, double coarse) {
   const double least = coarse > 0 ? 0 : 1; /* by which they differ */
@@ -146,16 +146,16 @@ double solver_floor_at(const double floor[2], double unit, double eta, double r)
   return fmax(floor[1], floor[0] * fmax(1, more) * fmin(1, near / r));
 }
 
-/* ---- light that is scattered twice near the source --------------------------------------------
- */
+/* ---- light that is scattered twice near the source ----------------------------------------- */
 
 /* Returns arcsin(x) for 0 < x <= 1. */
 static double arcsine(double x) {
   return cimag(fn_clog(CMPLX(sqrt((1 - x) * (1 + x)), x)));
 }
 
-/* Returns the integral over t from theta to pi of p(cos t) p(-cos(t - theta)) (4 pi)^2, with `onwards`
- * of p(-cos t) p(-cos(t - theta)). The panels halve towards both ends, where p may be narrow. */
+/* Returns the integral over t from theta to pi of p(cos t) p(-cos(t - theta)) (4 pi)^2, with
+ * `onwards` of p(-cos t) p(-cos(t - theta)). The panels halve towards both ends, where p may be
+ * narrow. */
 static double second_deflections(const solver_phase *phase, const gauss_rule *rule, double theta,
                                  bool onwards) {
   enum { HALVINGS = 9 };

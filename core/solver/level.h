@@ -45,8 +45,8 @@ struct level {
   struct tier tier[TIERS]; /* in ascending order; k_most of the last is K */
 };
 
-/* The least relative errors that any solution states: somewhere below SOLVER_NEAR, and beyond. Those of
- * one solution are about SOLVER_NEAR_FACTOR apart. */
+/* The least relative errors that any solution states: somewhere below SOLVER_NEAR, and beyond.
+ * Those of one solution are about SOLVER_NEAR_FACTOR apart. */
 #define SOLVER_NEAR 2
 #define SOLVER_LEAST_NEAR 1e-4
 #define SOLVER_LEAST 2e-5
@@ -61,8 +61,8 @@ size_t solver_first_level(double tolerance);
 /* Returns whether *stop is true; stop may be NULL. */
 bool solver_stops(const atomic_bool *stop);
 
-/* Returns how many moments of a phase function are kept: up to `most`, those from the last one on that
- * is larger than `least`. */
+/* Returns how many moments of a phase function are kept: up to `most`, those from the last one on
+ * that is larger than `least`. */
 size_t solver_moments_kept(const solver_phase *phase, double least, size_t most);
 
 /* Truncates a phase function to `count` moments (delta-M): sets moment[count], and *to for a medium
@@ -73,8 +73,8 @@ double solver_truncate(expansion_medium *to, double *moment, const solver_phase 
 /* Returns Fresnel's reflectance at normal incidence between media of two indices. */
 double solver_beam_reflectance(double one, double other);
 
-/* The reduced mean free paths at which two grids are compared: the least one, and how many there are,
- * each of which is SOLVER_ERROR_RATIO times the one before. */
+/* The reduced mean free paths at which two grids are compared: the least one, and how many there
+ * are, each of which is SOLVER_ERROR_RATIO times the one before. */
 enum { SOLVER_ERROR_RADII = 36 };
 #define SOLVER_ERROR_LEAST 0.004
 #define SOLVER_ERROR_RATIO 1.45
@@ -90,16 +90,16 @@ double solver_error_between(double margin, double fine, double coarse);
  * 0 at some radii. */
 double solver_error_near(const double error[SOLVER_ERROR_RADII], double r);
 
-/* Returns the least relative error that is stated at the radius r, in reduced mean free paths. Grids
- * share what they lack beyond K: waves that fade as r grows, and larger ones where eta is. Of 120 media
- * against finer grids, R was off by up to 1.1e-3 at r = 0.024 (g 0.9, eta 3.3) and 5.8e-4 at 0.7 (g
- * 0.84, eta 2.3, 16 sigma_s' absorbed), where two grids agreed within 2e-4. unit: the scaled mean free
- * path over the reduced one. */
+/* Returns the least relative error that is stated at the radius r, in reduced mean free paths.
+ * Grids share what they lack beyond K: waves that fade as r grows, and larger ones where eta is. Of
+ * 120 media against finer grids, R was off by up to 1.1e-3 at r = 0.024 (g 0.9, eta 3.3) and 5.8e-4
+ * at 0.7 (g 0.84, eta 2.3, 16 sigma_s' absorbed), where two grids agreed within 2e-4. unit: the
+ * scaled mean free path over the reduced one. */
 double solver_floor_at(const double floor[2], double unit, double eta, double r);
 
-/* Returns the limit of k^2 X for large k, see solver.c. single: the albedo by which light scattered once
- * is in proportion. edge: the sine of the cone's edge outside, 1 for light of all angles. onwards: for light that leaves
- * where the beam arrives, not where it enters. */
+/* Returns the limit of k^2 X for large k, see solver.c. single: the albedo by which light scattered
+ * once is in proportion. edge: the sine of the cone's edge outside, 1 for light of all angles.
+ * onwards: for light that leaves where the beam arrives, not where it enters. */
 double solver_far(double single, const solver_phase *phase, double eta, double edge, bool onwards);
 
 #endif

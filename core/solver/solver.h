@@ -33,18 +33,19 @@ enum { SOLVER_ETAS_MAX = 32, SOLVER_CONES_MAX = 8, SOLVER_WAVENUMBERS_MAX = 640 
 
 typedef struct solver_solution solver_solution;
 
-/* Solves one medium for some boundaries together, which takes little longer than for one. Finer
- * and finer grids are solved until the relative error that two of them show, and the least that
- * their values can have beyond SOLVER_NEAR, is at most the tolerance, at radii from SOLVER_RADIUS_LEAST to SOLVER_RADIUS_MOST as far as R has not decayed
- * by e^-20, but at most four of them, and the finest only if it
- * promises to reach the tolerance or that is CORE_TOLERANCE_FINEST or less. What holds is the error that is stated beside each value,
- * which is larger than requested where |g| is above 0.95 or g is below -0.5. One boundary and g up
- * to 0.9 take some 0.2 s of a processor for a tolerance of 1e-2, 0.6 to 2.5 s for 1e-3 and 9 s
- * or more for 1e-4; the most that they take is 3, 10 and 37 s. sigma_a_ratio: sigma_a / (sigma_s (1 - g)),
- * 0 to 1000. etas: index inside over index outside, TRANSPORT_ETA_MIN to TRANSPORT_ETA_MAX, 1 to
- * SOLVER_ETAS_MAX of them. tolerance: not negative, finite. Faults: `sigma_a_ratio`, `phase`, `eta`,
- * `tolerance`, `memory`. On a fault *solution is NULL. Otherwise the caller owns it and frees it
- * with solver_free(), which accepts NULL. */
+/* Solves one medium for some boundaries together, which takes little longer than for one. Finer and
+ * finer grids are solved until the relative error that two of them show, and the least that their
+ * values can have beyond SOLVER_NEAR, is at most the tolerance, at radii from SOLVER_RADIUS_LEAST
+ * to SOLVER_RADIUS_MOST as far as R has not decayed by e^-20, but at most four of them, and the
+ * finest only if it promises to reach the tolerance or that is CORE_TOLERANCE_FINEST or less. What
+ * holds is the error that is stated beside each value, which is larger than requested where |g| is
+ * above 0.95 or g is below -0.5. One boundary and g up to 0.9 take some 0.2 s of a processor for a
+ * tolerance of 1e-2, 0.6 to 2.5 s for 1e-3 and 9 s or more for 1e-4; the most that they take is 3,
+ * 10 and 37 s. sigma_a_ratio: sigma_a / (sigma_s (1 - g)), 0 to 1000. etas: index inside over index
+ * outside, TRANSPORT_ETA_MIN to TRANSPORT_ETA_MAX, 1 to SOLVER_ETAS_MAX of them. tolerance: not
+ * negative, finite. Faults: `sigma_a_ratio`, `phase`, `eta`, `tolerance`, `memory`. On a fault
+ * *solution is NULL. Otherwise the caller owns it and frees it with solver_free(), which accepts
+ * NULL. */
 core_fault solver_solve(solver_solution **solution, const core_isa *isa, double sigma_a_ratio,
                         const solver_phase *phase, const double *etas, size_t count,
                         double tolerance);
@@ -55,18 +56,18 @@ core_fault solver_solve_until(solver_solution **solution, const core_isa *isa, d
                               const solver_phase *phase, double eta, double tolerance,
                               const atomic_bool *stop);
 
-/* The same as solver_solve() with the light that leaves within cones of angles, too. sines: that of the largest
- * angle to the normal outside that a cone has, over min(1, eta), which is that of all light; each
- * above 0 and up to 1, 0 to SOLVER_CONES_MAX of them. Fault: `sine`. */
+/* The same as solver_solve() with the light that leaves within cones of angles, too. sines: that of
+ * the largest angle to the normal outside that a cone has, over min(1, eta), which is that of all
+ * light; each above 0 and up to 1, 0 to SOLVER_CONES_MAX of them. Fault: `sine`. */
 core_fault solver_solve_cones(solver_solution **solution, const core_isa *isa, double sigma_a_ratio,
                               const solver_phase *phase, const double *etas, size_t count,
                               const double *sines, size_t cones, double tolerance);
 
-/* The same as solver_solve() on the grid number `level` alone, 0 (the coarsest) to SOLVER_LEVELS - 1: the errors of
- * the values are NAN. exitances: NULL, or memory for the exitance at each wavenumber, which takes
- * nearly all of the time, [count][SOLVER_WAVENUMBERS_MAX]. If not `known`, it is set; the rest of
- * it stays. If `known`, it must be what a call with the same other arguments has set, and the
- * solution is made from it in milliseconds, with the same bits. */
+/* The same as solver_solve() on the grid number `level` alone, 0 (the coarsest) to SOLVER_LEVELS -
+ * 1: the errors of the values are NAN. exitances: NULL, or memory for the exitance at each
+ * wavenumber, which takes nearly all of the time, [count][SOLVER_WAVENUMBERS_MAX]. If not `known`,
+ * it is set; the rest of it stays. If `known`, it must be what a call with the same other arguments
+ * has set, and the solution is made from it in milliseconds, with the same bits. */
 core_fault solver_solve_level(solver_solution **solution, const core_isa *isa, double sigma_a_ratio,
                               const solver_phase *phase, const double *etas, size_t count,
                               size_t level, double complex *exitances, bool known);
@@ -103,7 +104,7 @@ typedef struct solver_total {
 core_fault solver_totals(solver_total *totals, const core_isa *isa, double sigma_a_ratio,
                          const solver_phase *phase, const double *etas, size_t count);
 
-/* ---- layers ------------------------------------------------------------------------------------- */
+/* ---- layers -------------------------------------------------------------------------------- */
 
 enum { SOLVER_SIDES = 2 };
 
@@ -125,25 +126,25 @@ typedef struct solver_balance {
 
 typedef struct solver_layers solver_layers;
 
-/* Solves layers, from the top down, on which a pencil beam falls at right angles. Finer and finer grids,
- * at most four, are solved until two of them agree within the tolerance, relative, from 0.05 reduced
- * mean free paths of the first layer on, or do not promise to. What holds is the error beside each
- * value: it is large for slabs thinner than a mean free path or so at all radii, and for T near the axis
- * behind layers of many mean free paths. Two layers take some 0.3 s of a processor for a tolerance of
- * 1e-2 and 2 to 6 s for 1e-3, each layer more as much again. count: 1
+/* Solves layers, from the top down, on which a pencil beam falls at right angles. Finer and finer
+ * grids, at most four, are solved until two of them agree within the tolerance, relative, from 0.05
+ * reduced mean free paths of the first layer on, or do not promise to. What holds is the error
+ * beside each value: it is large for slabs thinner than a mean free path or so at all radii, and
+ * for T near the axis behind layers of many mean free paths. Two layers take some 0.3 s of a
+ * processor for a tolerance of 1e-2 and 2 to 6 s for 1e-3, each layer more as much again. count: 1
  * to SOLVER_LAYERS_MAX. eta_below: the index below a last layer of finite thickness over that above
- * all, in the range of eta. stop: NULL, or set by any thread. Faults: `layer_count`, and with the index
- * of the layer `sigma_a`, `sigma_s`, `g`, `eta` and `thickness`; `eta_below`, `tolerance`, `memory`,
- * CORE_FIELD_STOPPED. On a fault *solution is NULL. Otherwise the caller owns it and frees it with
- * solver_layers_free(), which accepts NULL. */
+ * all, in the range of eta. stop: NULL, or set by any thread. Faults: `layer_count`, and with the
+ * index of the layer `sigma_a`, `sigma_s`, `g`, `eta` and `thickness`; `eta_below`, `tolerance`,
+ * `memory`, CORE_FIELD_STOPPED. On a fault *solution is NULL. Otherwise the caller owns it and
+ * frees it with solver_layers_free(), which accepts NULL. */
 core_fault solver_layers_solve(solver_layers **solution, const core_isa *isa,
                                const solver_layer *layer, size_t count, double eta_below,
                                double tolerance, const atomic_bool *stop);
 void solver_layers_free(solver_layers *solution);
 
-/* Returns R (side 0) or T (side 1) at the radius r in mm, per mm^2 and per power that has entered, of
- * light that was scattered, with an estimate of its absolute error. r: 0 (where both are infinite) to
- * infinity. */
+/* Returns R (side 0) or T (side 1) at the radius r in mm, per mm^2 and per power that has entered,
+ * of light that was scattered, with an estimate of its absolute error. r: 0 (where both are
+ * infinite) to infinity. */
 transport_number solver_layers_at(const solver_layers *solution, size_t side, double r_mm);
 
 /* Sets *balance for the layers of a solution. It takes milliseconds. Fault: `memory`. */
