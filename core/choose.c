@@ -183,7 +183,7 @@ static double value_count(const core_choose_request *request) {
 }
 
 /* Sets the costs of the candidate and its total error and time. */
-static void finish(core_candidate *candidate, const core_choose_request *request) {
+static void finish_candidate(core_candidate *candidate, const core_choose_request *request) {
   const struct cost *cost = cost_of(candidate->model);
   const bool lut = candidate->evaluator == CORE_EVALUATOR_LUT;
   candidate->cost_ns = lut ? lut_ns : cost->radius_ns[candidate->evaluator == CORE_EVALUATOR_F32];
@@ -205,7 +205,7 @@ void core_offer(core_candidate *candidate, const core_choose_request *request, u
                                 .model_error = model_error,
                                 .numerical_error = numerical_error,
                                 .looked_up = true};
-  finish(candidate, request);
+  finish_candidate(candidate, request);
 }
 
 /* ---- choosing -------------------------------------------------------------------------------- */
@@ -222,7 +222,7 @@ static core_candidate look_up(const core_choose_request *request, enum core_eval
     set_numerical_error(&candidate, request, request->tolerance - besides);
     candidate.numerical_error += besides;
   }
-  finish(&candidate, request);
+  finish_candidate(&candidate, request);
   return candidate;
 }
 
@@ -234,7 +234,7 @@ static core_candidate make_candidate(const core_choose_request *request,
     const double of_ln_R = logarithm_error(request);
     set_solved(&candidate, request, request->tolerance * BELOW - of_ln_R);
     candidate.numerical_error += candidate.looked_up ? 0 : of_ln_R;
-    finish(&candidate, request);
+    finish_candidate(&candidate, request);
   }
   return candidate;
 }

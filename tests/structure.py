@@ -25,6 +25,12 @@ WORDS = {
 }
 RULE_WORDS = 30  # of a rule of PROTOCOL.md: a line that begins with its number, as **E11a**
 RULE = re.compile(r"^\*\*([A-Z]\d+[a-z]?)\*\* (.*)$", re.MULTILINE)
+# Verbs that name no static function by themselves: a backtrace and a search have to find one place.
+BARE = set(
+    "add ask begin do draw end evaluate fill find finish follow get give go keep make merge move of"
+    " place put run send set show start step stop take tell tick turn watch work".split()
+)
+STATIC = re.compile(r"^static (?:inline )?[\w ]+?[ *](\w+)\(", re.MULTILINE)
 INCLUDE = re.compile(r'^[ \t]*#[ \t]*include[ \t]+"([^"]+)"', re.MULTILINE)
 
 Graph = dict[str, set[str]]
@@ -128,6 +134,17 @@ def without_a_test(root: Path) -> list[str]:
     ]
 
 
+def bare(root: Path) -> list[str]:
+    """Returns the static functions whose name is a bare verb."""
+    return [
+        f"{path.relative_to(root)}: static {name}() is a bare verb"
+        for folder in FOLDERS
+        for path in sorted((root / folder).rglob("*.[ch]"))
+        for name in STATIC.findall(path.read_text())
+        if name in BARE
+    ]
+
+
 def main() -> int:
     root = Path(sys.argv[1] if len(sys.argv) > 1 else Path(__file__).parents[1]).resolve()
     graph = modules(root)
@@ -136,7 +153,7 @@ def main() -> int:
         print("modules include each other:", " -> ".join(circle))
     if not found:
         print(f"structure: {len(graph)} modules, none includes itself through others")
-    too_long = wordy(root)
+    too_long = wordy(root) + bare(root)
     for fault in [*too_long, *(f"tests/promises.txt: {one}" for one in without_a_test(root))]:
         print(fault)
     return 1 if found or too_long else 0

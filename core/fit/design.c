@@ -16,7 +16,7 @@
 
 /* ---- checking -------------------------------------------------------------------------------- */
 
-/* Returns the diameter of a reading's disc; diameters may be NULL. */
+/* Returns the diameter of a reading's disc. diameters NULL: 0. */
 static double diameter(const double *diameters, size_t i) {
   return diameters != NULL ? diameters[i] : 0;
 }
@@ -28,7 +28,7 @@ static core_fault check_readings(const core_fit_design *design) {
     const double detector = diameter(design->detector_mm, i);
     const double most = frequency ? 0 : 1e12;
     const char *allowed = frequency ? "0 with frequencies" : "0 to 1e12";
-    if (!(source >= 0 && source <= most)) { /* NaN is refused */
+    if (!(source >= 0 && source <= most)) { /* also false for NaN */
       return (core_fault){"source", allowed, i};
     }
     if (!(detector >= 0 && detector <= most)) {
@@ -45,7 +45,7 @@ static core_fault check_readings(const core_fit_design *design) {
   return (core_fault){0};
 }
 
-/* Returns g of the function of Henyey and Greenstein that transport takes for a medium. */
+/* Returns the g for which transport is evaluated, given g or gamma. */
 static double taken_g(const core_fit_design *design, double g) {
   const double gamma =
       design->parameters != NULL ? design->parameters->value[CORE_PARAMETER_GAMMA] : (double)NAN;
@@ -77,7 +77,8 @@ static core_fault check_aperture(const core_fit_design *design) {
              : (core_fault){"detector_na", "g from 0 to 0.95 and eta from 0.7 to 2.2 with it", 0};
 }
 
-/* A fit asks transport for many media, which the table of solutions must have. */
+/* Returns a fault if the table of solutions does not cover the media: a fit evaluates too many to
+ * solve them. */
 static core_fault check_stored(const core_fit_design *design) {
   if (!core_solves(design->model)) {
     return (core_fault){0};
@@ -92,7 +93,7 @@ static core_fault check_stored(const core_fit_design *design) {
              : fault;
 }
 
-/* Whether R depends on the medium by its coefficients alone. */
+/* Returns whether R of a model depends on the medium, and only through its coefficients. */
 static bool fits_model(unsigned model) {
   return model != CORE_MODEL_GAUSSIANS && model != CORE_MODEL_SKIN_RED &&
          model != CORE_MODEL_SKIN_GREEN && model != CORE_MODEL_SKIN_BLUE;
@@ -141,7 +142,7 @@ core_fault core_fit_check(const core_fit_design *design) {
 #define PLACE_COST 42
 #define SLAB_COST 262144
 
-/* Returns how many nodes a design has. */
+/* Returns the number of nodes of all readings. */
 static size_t nodes_of(const core_fit_design *design) {
   size_t nodes = 0;
   for (size_t i = 0; i < design->count; i++) {
@@ -151,7 +152,8 @@ static size_t nodes_of(const core_fit_design *design) {
   return nodes;
 }
 
-/* Evaluations for a set: by the inverse, with few readings more than unknowns, and with many. */
+/* Typical numbers of evaluations for a set: with the inverse, with few readings more than unknowns,
+ * and with many. */
 enum { BY_INVERSE = 4, SPARSE = 160, PLENTY = 12 };
 
 core_fit_cost core_fit_cost_of(const core_fit_design *design) {
@@ -204,7 +206,7 @@ static struct fit_model model_of(const core_isa *isa, const core_fit_design *des
   return model;
 }
 
-/* Sets the bounds of the search from the distances. */
+/* Sets the bounds of the search, from the distances. */
 static void set_bounds(core_fit *fit, const core_fit_design *design) {
   double least = 0, most = 0;
   for (size_t i = 0; i < design->count; i++) {
@@ -224,7 +226,8 @@ static void set_bounds(core_fit *fit, const core_fit_design *design) {
                                  real_log(CORE_FIT_NEAR_MAX / (least > 0 ? least : 1), 0)};
 }
 
-/* Sets what each reading's model is multiplied by: 1, or one over that of the reference medium. */
+/* Sets the factor of each reading's model: 1, or the inverse of the reading of the reference
+ * medium. */
 static core_fault set_weights(core_fit *fit, const core_fit_design *design) {
   for (size_t i = 0; i < fit->count; i++) {
     fit->weight[i] = 1;
@@ -248,8 +251,8 @@ static core_fault set_weights(core_fit *fit, const core_fit_design *design) {
   return fault;
 }
 
-/* Evaluates the model for each medium of the grid. Media that the model does not take get NAN,
- * which is never a minimum. */
+/* Evaluates the readings for each medium of the grid. A medium that the model does not cover gets
+ * NAN, and is no minimum. */
 static core_fault fill_grid(core_fit *fit) {
   double values[CORE_FIT_READINGS_MAX];
   for (size_t i = 0; i < FIT_GRID; i++) {
@@ -325,7 +328,7 @@ static void set_places(core_fit *fit, const core_fit_design *design) {
   }
 }
 
-/* Whether the discs of all readings have the same diameters; these may be NULL. */
+/* Returns whether the discs of all readings have equal diameters. diameters may be NULL. */
 static bool are_alike(const double *diameters, size_t count) {
   for (size_t i = 1; i < count; i++) {
     if (diameter(diameters, i) != diameter(diameters, 0)) {
@@ -353,7 +356,7 @@ static void set_falling(core_fit *fit, const core_fit_design *design) {
   fit->falling = falls ? order : NULL;
 }
 
-/* Prepares the fast evaluation of the model, if it has one. */
+/* Prepares the table or the kernels that evaluate many media. */
 static core_fault set_kernels(struct fit_model *model) {
   model->varies = !core_solves(model->model) && model->quantity == CORE_QUANTITY_R &&
                   core_varying_prepare(&model->varying, model->isa, model->model, model->moments,
@@ -373,7 +376,7 @@ static core_fault set_kernels(struct fit_model *model) {
   return fit_table_create(&model->table, &source);
 }
 
-static core_fault fill(core_fit *fit, const core_fit_design *design) {
+static core_fault fill_design(core_fit *fit, const core_fit_design *design) {
   set_places(fit, design);
   set_falling(fit, design);
   set_bounds(fit, design);
@@ -434,7 +437,7 @@ core_fault core_fit_create(core_fit **made, const core_isa *isa, const core_fit_
   if (core_solves(fit->model.model)) {
     fit->model.parameters.value[CORE_PARAMETER_TOLERANCE] = (double)NAN;
   }
-  fault = fill(fit, design);
+  fault = fill_design(fit, design);
   if (fault.field != NULL) {
     core_fit_free(fit);
   } else {
@@ -466,7 +469,7 @@ size_t core_fit_bytes(const core_fit *fit) {
 
 /* ---- a set of readings ----------------------------------------------------------------------- */
 
-/* Returns the fault of the first reading that is wrong. */
+/* Returns the fault of the first invalid reading. */
 static core_fault check_set(const core_fit *fit, const double *values, const double *errors) {
   for (size_t i = 0; i < fit->count; i++) {
     if (!isfinite(values[i])) {

@@ -18,7 +18,7 @@
 
 #include "core/core.h"
 
-/* Readings in a set. */
+/* The largest number of readings in a set. */
 #define CORE_FIT_READINGS_MAX 1024
 
 /* Media that are tried: sigma_a / sigma_s' between these two, and sigma_s' from CORE_FIT_NEAR_MIN
@@ -50,7 +50,7 @@
  * profiles of the model. */
 #define CORE_FIT_EXACT_BELOW 3e-4
 
-/* Steps of refining that a caller should do at most. */
+/* The largest number of steps of refining that are useful. */
 #define CORE_FIT_REFINE_MOST 6
 
 /* What does not change from one set of readings to the next. Arrays have `count` values. */
@@ -59,10 +59,10 @@ typedef struct core_fit_design {
   unsigned moments;
   double g;
   double eta;
-  double thickness_mm;               /* of a slab; 0: half spaces */
-  const core_parameters *parameters; /* of the model; NULL: none is given */
-  unsigned axis;                     /* of enum core_fit_axis */
-  size_t count;                      /* at least 2, or 3 with a free factor */
+  double thickness_mm;               /* mm, thickness of the media; 0: half spaces */
+  const core_parameters *parameters; /* parameters of the model; NULL: none */
+  unsigned axis;                     /* enum core_fit_axis */
+  size_t count;                      /* number of readings: at least 2, or 3 with a free factor */
   /* Axis RADIUS: distances in mm, above 0 without fibres. FREQUENCY: frequencies in 1/mm, at least
    * 0. */
   const double *at;
@@ -77,8 +77,8 @@ typedef struct core_fit_design {
    * from 0 to 0.95 and eta from 0.7 to 2.2. The share's error is
    * part of the result's model_error. */
   double detector_na;
-  unsigned scale;        /* of enum core_fit_scale */
-  core_medium reference; /* the known medium, for scale REFERENCE alone */
+  unsigned scale;        /* enum core_fit_scale */
+  core_medium reference; /* the known medium, if scale is REFERENCE */
 } core_fit_design;
 
 /* A design, prepared. It is immutable. */
@@ -107,10 +107,10 @@ typedef struct core_fit_cost {
 } core_fit_cost;
 core_fit_cost core_fit_cost_of(const core_fit_design *design);
 
-/* Returns the size in bytes of a prepared design. */
+/* Returns the memory in bytes of a prepared design. */
 size_t core_fit_bytes(const core_fit *fit);
 
-/* Bounds that a fit has reached, as bits. */
+/* Bits for the bounds of the search at which a solution lies. */
 enum core_fit_bound {
   CORE_FIT_RATIO_LEAST = 1,
   CORE_FIT_RATIO_MOST = 2,
@@ -118,7 +118,7 @@ enum core_fit_bound {
   CORE_FIT_SCATTERING_MOST = 8,
 };
 
-/* A medium that fits. */
+/* A medium that the fit found. */
 typedef struct core_fit_solution {
   double sigma_a_per_mm;
   double sigma_s_prime_per_mm; /* sigma_s (1 - g) */

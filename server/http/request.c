@@ -56,8 +56,8 @@ struct translation {
   struct http_text *payload;
   size_t bytes_max; /* most bytes of the payload */
   uint32_t medium_count;
-  uint32_t layer_count; /* of each medium; 0: there is none yet */
-  double thickness_mm;  /* of media that say none themselves */
+  uint32_t layer_count; /* layers of each medium; 0: no medium has been read */
+  double thickness_mm;  /* mm, thickness of media that do not state one */
   uint32_t parameter_count;
   bool g_is_default;
   wire_error error; /* the error, set if a function returns false */
@@ -112,7 +112,7 @@ static uint8_t *add_bytes(struct translation *t, size_t bytes) {
   return (uint8_t *)at;
 }
 
-/* Begins a medium of so many layers, the next one of the list. */
+/* Begins the medium with this index, which has `layers` layers. */
 static bool begin_medium(struct translation *t, size_t layers, size_t index) {
   if (t->medium_count == http_request_media(t->message->request)) {
     return fail_with(t,

@@ -7,9 +7,9 @@
 #include "server/jobs/eval.h"
 
 struct offers_job {
-  struct eval_job eval; /* its request, radii and lookups */
-  uint32_t medium;      /* the next one to compare */
-  size_t model;         /* position of the model in core_costed_models */
+  struct eval_job eval; /* the eval for which offers are made */
+  uint32_t medium;      /* index of the next medium to compare */
+  size_t model;         /* index of the model in core_costed_models */
   struct {              /* of each model, over the media so far; INFINITY if not known */
     double model, numerical;
   } errors[CORE_CANDIDATES_MAX / 2];

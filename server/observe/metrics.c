@@ -269,7 +269,7 @@ static void on_connection(void *context, struct MHD_Connection *connection, void
   }
 }
 
-static struct MHD_Daemon *start(struct port *port, int fd) {
+static struct MHD_Daemon *start_library(struct port *port, int fd) {
   return MHD_start_daemon(
       MHD_USE_AUTO | MHD_USE_INTERNAL_POLLING_THREAD | MHD_USE_ITC, 0, NULL, NULL, on_request, port,
       MHD_OPTION_LISTEN_SOCKET, fd, MHD_OPTION_CONNECTION_LIMIT, (unsigned)MOST_CONNECTIONS,
@@ -283,7 +283,7 @@ static bool open_port(struct metrics *metrics, struct port *port, int fd) {
   tcp_bound(fd, bound);
   port->metrics = metrics;
   TAILQ_INIT(&port->holders);
-  port->daemon = start(port, fd); /* libmicrohttpd owns the socket from here on. */
+  port->daemon = start_library(port, fd); /* libmicrohttpd owns the socket from here on. */
   if (port->daemon == NULL) {
     fprintf(stderr, "dipoled: --metrics %s: the HTTP server does not start\n", bound);
     close(fd);

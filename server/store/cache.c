@@ -6,10 +6,10 @@
 #include <uv.h>
 
 enum {
-  BUCKETS_MIN = 256, /* Each number of buckets is a power of two. */
+  BUCKETS_MIN = 256, /* least number of buckets; every number is a power of two */
   FAST_SHARE = 4,    /* What is fast to prepare may hold a quarter of all bytes. */
-  LISTS = 3,         /* fast, slow, and apart */
-  APART = 2,         /* the last of them */
+  LISTS = 3,         /* things that are fast to prepare, slow ones, and those apart */
+  APART = 2,         /* index of the list of things apart */
 };
 
 struct cache_entry {
@@ -18,21 +18,21 @@ struct cache_entry {
   struct cache_key key;
   bool slow;
   _Atomic uint64_t references;
-  _Atomic bool kept; /* whether the entry is prepared and in the cache */
+  _Atomic bool kept; /* whether the thing is prepared and in the cache */
   _Atomic bool used; /* whether it was used since it was put at the head of its list */
   _Atomic bool stop; /* whether the preparation is to stop, as nobody waits for it any more */
 
   /* The mutex guards the following members. */
-  bool under_way;               /* whether the thing is not prepared yet */
+  bool under_way;               /* whether the thing is still to be prepared */
   bool begun;                   /* whether its preparation has begun */
-  struct cache_waiters waiters; /* those who wait until the thing is prepared */
+  struct cache_waiters waiters; /* those who wait for the preparation */
   LIST_ENTRY(cache_entry) in_bucket;
   TAILQ_ENTRY(cache_entry) in_list; /* one of the cache's lists, or that of evicted entries */
 
   /* The thread that prepares the thing sets these before other threads see them. */
   uint64_t bytes;
   core_fault fault;
-  _Alignas(16) uint8_t memory[]; /* the thing, and the content of its key */
+  _Alignas(16) uint8_t memory[]; /* the thing, then the content of its key */
 };
 
 TAILQ_HEAD(entries, cache_entry);
@@ -55,7 +55,7 @@ struct cache {
   uint64_t bucket_count;
   uint64_t entry_count; /* number of entries in the buckets, prepared or not */
   struct list lists[LISTS];
-  TAILQ_HEAD(, cache_owner) turns; /* owners with waiters; the first has the next turn */
+  TAILQ_HEAD(, cache_owner) turns; /* owners that have waiters; the first has the next turn */
   struct cache_owner *latest;      /* owner of the latest turn, or NULL; new owners go before it */
   unsigned turn_count;             /* number of turns that have begun and not ended */
   unsigned turns_most;
@@ -437,7 +437,8 @@ struct cache *cache_new(const core_isa *isa, uint64_t limit_bytes, uint64_t apar
   cache->limit_bytes = limit_bytes;
   cache->apart_bytes = apart_bytes;
   cache->max_waiting = max_waiting;
-  cache->turns_most = uv_available_parallelism() < 4 ? 1 : 2; /* leaves cores for the workers */
+  /* leaves processors for the workers */
+  cache->turns_most = uv_available_parallelism() < 4 ? 1 : 2;
   cache->stats = stats;
   cache->bucket_count = BUCKETS_MIN;
   cache->buckets = calloc(BUCKETS_MIN, sizeof *cache->buckets);
@@ -527,7 +528,7 @@ void cache_prepare(struct cache_entry *entry) {
   entry->bytes = prepare_entry(entry);
   uv_mutex_lock(&cache->mutex);
   while (entry->fault.field != NULL && strcmp(entry->fault.field, CORE_FIELD_STOPPED) == 0 &&
-         !LIST_EMPTY(&entry->waiters)) { /* that came after it had stopped */
+         !LIST_EMPTY(&entry->waiters)) { /* waiters that came after it had stopped */
     uv_mutex_unlock(&cache->mutex);
     entry->bytes = prepare_entry(entry);
     uv_mutex_lock(&cache->mutex);

@@ -111,3 +111,12 @@ def test_a_promise_without_a_test_is_named(tmp_path):
         (tmp_path / path).parent.mkdir(exist_ok=True)
         (tmp_path / path).write_text(text)
     assert structure.without_a_test(tmp_path) == ["no test is named for A2", "there is no test test_gone"]
+
+
+def test_a_bare_verb_is_named(tmp_path):
+    (tmp_path / "core").mkdir()
+    (tmp_path / "core/a.c").write_text("static int put(int x) {\n}\nstatic inline void *put_x(void) {\n}\n")
+    (tmp_path / "core/b.h").write_text("static inline struct pair step(void) {\n}\nint run(void);\n")
+    assert structure.bare(tmp_path) == [
+        "core/a.c: static put() is a bare verb", "core/b.h: static step() is a bare verb",
+    ]  # fmt: skip
