@@ -205,6 +205,12 @@ static bool is_awaited(const libdipole_pending *pending) {
   return pending != NULL && (pending->frame == NULL || is_progress(pending));
 }
 
+/* Returns whether the frame only says that the daemon prepares what a request waits for (F3e). */
+static bool reports_work(const wire_header *header, const libdipole_pending *pending) {
+  return header->type == (WIRE_TYPE_PING | WIRE_REPLY) && header->payload_bytes == 0 &&
+         pending->type != WIRE_TYPE_PING;
+}
+
 /* Returns whether the header is of an error or of a reply that this request can have. pending:
  * NULL if no request has the frame's id, as for an error that concerns the whole connection. */
 static bool check_header(const wire_header *header, const libdipole_pending *pending,
@@ -221,6 +227,9 @@ static bool check_header(const wire_header *header, const libdipole_pending *pen
   }
   if (!is_awaited(pending)) {
     return libdipole_fail_protocol(error, "it replied to a request that was not sent");
+  }
+  if (reports_work(header, pending)) {
+    return true;
   }
   if (header->type != (pending->type | WIRE_REPLY) ||
       header->payload_bytes < pending->reply_bytes_min ||
@@ -334,6 +343,10 @@ static bool end_frame(dipole_client *client, dipole_error *error) {
   client->frame = NULL;
   if (!is_awaited(pending)) {
     return fail_connection(client, frame, error);
+  }
+  if (reports_work(&frame->header, pending)) {
+    free(frame);
+    return true;
   }
   if (pending->frame != NULL) {
     drop_report(client, pending);

@@ -158,6 +158,11 @@ static void drop_detached(struct requests *r) {
   }
 }
 
+const wire_header *requests_waiting(const struct requests *r) {
+  const struct detached *first = TAILQ_FIRST(&r->detached);
+  return r->run.state == RUN_WAITS ? &r->header : first != NULL ? &first->header : NULL;
+}
+
 bool requests_stop_detached(struct requests *r, enum job_stop why) {
   struct detached *detached;
   TAILQ_FOREACH(detached, &r->detached, in_requests) {

@@ -79,6 +79,9 @@ bool requests_expire(struct requests *requests);
  * there were any. */
 bool requests_give_up(struct requests *requests);
 
+/* Returns the header of a request that waits for a preparation or is detached; NULL if there is none. */
+const wire_header *requests_waiting(const struct requests *requests);
+
 /* Makes detached requests end soon that can end with a part of their results. Returns whether there
  * are any detached requests. */
 bool requests_stop_detached(struct requests *requests, enum job_stop why);

@@ -15,6 +15,7 @@ enum {
   WRITE_BYTES = 262144, /* most bytes written in one turn: about 60 microseconds */
   REST_MS = 1000,       /* the silence after which the connection releases its buffers */
   HANG_UP_MS = 1000,    /* how long preparations go on for a peer that has ended its side */
+  REPORT_MS = 10000,    /* the silence after which a waiting client is told of the work */
   LINGER_MS = 1000,     /* how long the peer may take to close after the last answer */
 };
 
@@ -175,11 +176,15 @@ static void read_behind(struct connection *c) {
   transport_set_reading(&c->transport, !c->peer_done && input_room_behind(&c->input, &room) > 0);
 }
 
+static bool is_ready(const struct connection *c, short events, short ready) {
+  struct pollfd peer = {.fd = c->fd, .events = events};
+  return poll(&peer, 1, 0) > 0 && (peer.revents & ready) != 0;
+}
+
 /* Returns whether the peer of a Unix socket has closed both of its sides: nobody reads the answers.
  * TCP does not tell that from the end of the sending side. */
 static bool has_hung_up(const struct connection *c) {
-  struct pollfd peer = {.fd = c->fd};
-  return poll(&peer, 1, 0) > 0 && (peer.revents & (POLLHUP | POLLERR)) != 0;
+  return is_ready(c, 0, POLLHUP | POLLERR);
 }
 
 /* Returns whether preparations for a peer that has ended its side end. */
@@ -423,6 +428,29 @@ static void stop_client(struct client *client) {
   }
 }
 
+/* Tells a client whose request waits for a preparation that the daemon is at work (F3e): by an empty
+ * reply to a ping with the request's id, before the part that is open in the output. */
+static void report_work(struct connection *c) {
+  const wire_header *waiting = requests_waiting(&c->requests);
+  if (waiting == NULL || c->output.ready_bytes > 0 || c->transport.writing ||
+      !is_ready(c, POLLOUT, POLLOUT)) {
+    return;
+  }
+  const wire_header header = {.magic = WIRE_MAGIC,
+                              .version = WIRE_VERSION,
+                              .type = WIRE_TYPE_PING | WIRE_REPLY,
+                              .request_id = waiting->request_id};
+  uint8_t frame[WIRE_BYTES_header];
+  wire_put_header(frame, &header);
+  uv_buf_t buffer = uv_buf_init((char *)frame, sizeof frame);
+  if (transport_write(&c->transport, &buffer, 1) != sizeof frame) {
+    abort_connection(c); /* the rest has no place in the output */
+    return;
+  }
+  stats_add(&c->server->stats, STATS_SENT_BYTES, sizeof frame);
+  c->active_ms = now_ms(c);
+}
+
 static void check_time(struct client *client, uint64_t now_ms) {
   struct connection *c = connection_of(client);
   const struct options *options = &c->server->options;
@@ -449,7 +477,10 @@ static void check_time(struct client *client, uint64_t now_ms) {
     }
     return;
   }
-  if (requests_hold_input(&c->requests) || c->client.run_queue != NULL) {
+  if (now_ms - c->active_ms > REPORT_MS) {
+    report_work(c);
+  }
+  if (c->closing || requests_hold_input(&c->requests) || c->client.run_queue != NULL) {
     return;
   }
   if (c->frame_started_ms != 0 && now_ms - c->frame_started_ms > options->frame_timeout_ms) {

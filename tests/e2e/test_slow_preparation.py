@@ -5,7 +5,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from dipole import Refused
+from dipole import Refused, wire
+from dipole.connection import Frame
+from dipole.exchange import Exchange, Once, Request
+from frames import EVAL, PING, R, eval_payload, frame
 
 SKIN = [(0.032, 0.74, 0, 1.3), (0.17, 0.88, 0, 1.3), (0.48, 1.01, 0, 1.3)]
 RADII = [0.5, 1.0]
@@ -36,3 +39,21 @@ def test_the_second_channel_is_refused(client):
     assert refused.value.field == "fit_from"
     assert refused.value.index == 1
     assert client.ping() > 0
+
+
+def test_a_long_preparation_is_no_silence(daemon):
+    """The daemon says every ten seconds that it is at work, which no client takes for its reply."""
+    layers = [(0.02, 10.0 + i, 0.9, 1.4, 0.1) for i in range(8)]
+    one = daemon()
+    with one.connect() as connection, one.client() as client:
+        info = client.info
+        fields = {"model": info.choices["model"]["transport"].id, "medium_count": 1, "layer_count": 8, "wanted": R}
+        tolerance = (info.choices["parameter"]["tolerance"].id, 1e-8)
+        connection.send_bytes(frame(EVAL, 7, eval_payload(layers, parameters=[tolerance], **fields)))
+        assert connection.receive_frame() == Frame(PING | wire.REPLY, 7, b"")
+    exchange = Exchange(0)
+    request_id = exchange.begin(Request("eval", b"", lambda: Once(lambda reply: reply)))
+    exchange.take(Frame(PING | wire.REPLY, request_id, b""))
+    assert not exchange.is_ready(request_id)
+    exchange.take(Frame(wire.MESSAGES["eval"] | wire.REPLY, request_id, b"reply"))
+    assert exchange.next(request_id) == b"reply"

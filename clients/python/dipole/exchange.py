@@ -272,7 +272,7 @@ class Exchange:
                 self._retry_later(entry, 0)
             elif entry.replies.is_streamed and entry.replies.can_begin_again():
                 entry.failed_s = None  # The request continues, so another failure is a new one.
-        else:
+        elif frame.type != wire.MESSAGES["ping"] | wire.REPLY or len(frame.payload) > 0:  # F3e
             raise ProtocolError(
                 f"a reply of type {frame.type} to a request for {entry.request.message}"
             )
