@@ -452,6 +452,8 @@ size_t core_profile_bytes(const core_profile *profile);
  *          (f32: 1e12) mean free paths 1 / sigma_t', -infinity from there on and where R is 0.
  *          Its error is absolute: numerical_error + numerical_error_per_mm r + 8 epsilon |ln R|
  *   PDF    the density of radii, 2 pi r R over the albedo, 1/mm
+ *   T      as R, of the light that leaves below the last layer: 0 below a half space. Only the model
+ *          `transport` has it for other media, of which its error is the largest of any quantity
  *   RING   2 pi r R, the power that leaves per mm of radius; finite at r = 0 where R is not, 1/mm
  *   S      the BSSRDF for the two angles of the parameters (normal when not given), 1/(mm^2 sr):
  *          F_t(cos_in) R(r) F_t(cos_out) / (pi (1 - 2 C1(1 / eta))), with the exact C1

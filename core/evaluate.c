@@ -8,6 +8,7 @@
 #include <assert.h>
 #include <float.h>
 #include <math.h>
+#include <string.h>
 
 #include "core/kernels.h"
 
@@ -169,6 +170,8 @@ void core_evaluate(const core_profile *profile, enum core_quantity quantity, siz
   if (profile->parts == NULL) {
     if (profile->kernels->f64->evaluate[position(quantity)] != NULL) {
       core_run_kernel(profile, position(quantity), n, r, out);
+    } else if (quantity == CORE_QUANTITY_T) { /* the model is of half spaces */
+      memset(out, 0, n * sizeof *out);
     } else {
       assert(quantity == CORE_QUANTITY_TRANSFER);
       core_transfer(profile, n, r, out);
@@ -217,6 +220,8 @@ void core_eval_f32(const core_profile *profile, enum core_quantity quantity, siz
       core_is_narrow(profile) ? profile->kernels->f32->evaluate : NULL;
   if (kernels != NULL && kernels[position(quantity)] != NULL) {
     kernels[position(quantity)](core_coefficients_f32(profile), n, r, out);
+  } else if (profile->source == NULL && core_is_narrow(profile) && quantity == CORE_QUANTITY_T) {
+    memset(out, 0, n * sizeof *out);
   } else if (kernels != NULL && is_multiple(quantity)) {
     const struct multiple of = multiple_of(profile, quantity);
     kernels[CORE_ELEMENTWISE_R](core_coefficients_f32(profile), n, r, out);

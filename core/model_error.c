@@ -125,7 +125,8 @@ static size_t edges_below(double mfp) {
 double core_banded_error(const double errors[CORE_MODEL_ERROR_BANDS + 1], double all,
                          const core_medium *medium, unsigned wanted, core_radii_range radii) {
   enum {
-    ANY = CORE_QUANTITY_CDF | CORE_QUANTITY_SLOPE | CORE_QUANTITY_PDF | CORE_QUANTITY_TRANSFER
+    ANY = CORE_QUANTITY_CDF | CORE_QUANTITY_SLOPE | CORE_QUANTITY_PDF | CORE_QUANTITY_TRANSFER |
+          CORE_QUANTITY_T
   };
   const double sigma_t_prime = core_sigma_t_prime(medium);
   const bool at_radii = radii.least_mm <= radii.most_mm;
@@ -144,7 +145,7 @@ double core_banded_error(const double errors[CORE_MODEL_ERROR_BANDS + 1], double
 
 /* The quantities whose numerical error grows beyond the reach. The cdf and albedo are not among
  * them, because almost no energy is left there. */
-enum { FOLLOWS_R = AT_RADII | CORE_QUANTITY_SLOPE };
+enum { FOLLOWS_R = AT_RADII | CORE_QUANTITY_SLOPE | CORE_QUANTITY_T };
 
 /* The derivatives' reach, as a share of the profile's. */
 #define NEAR_REACH 0.9

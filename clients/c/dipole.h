@@ -282,7 +282,8 @@ enum dipole_quantity {
   /* The model error at each radius, of the other quantities that are wanted (of R, if there is none).
    * For a medium that transport solves, it has it solved, which takes seconds; dipole_channel.model_error
    * is then known as well. */
-  DIPOLE_MODEL_ERRORS = 8192
+  DIPOLE_MODEL_ERRORS = 8192,
+  DIPOLE_T = 16384 /* as R, of the light that leaves below the last layer; with transport */
 };
 enum dipole_spacing { DIPOLE_LIST = 1, DIPOLE_LINEAR = 2, DIPOLE_LOGARITHMIC = 3 };
 

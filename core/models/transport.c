@@ -62,6 +62,7 @@ enum coefficient {
   KAPPA_BY_RATIO, /* derivative of kappa by ln rho */
   BY_RATIO, /* position of the series of dL / d ln rho, TERMS for each panel; 0 if there is none */
   ENERGY,   /* position of the table of the energy */
+  BELOW,    /* position of the same coefficients of T, without the energy; 0: T is 0 */
   SERIES,   /* TERMS coefficients of L for each panel */
 };
 
@@ -173,6 +174,11 @@ static inline double transport_ln_R(const double *c, double r) {
   return c[LIMIT] > 0 ? (p.x > 0 ? bounded : (double)INFINITY) : -(double)INFINITY;
 }
 
+static inline double transport_T(const double *c, double r) {
+  const double T = transport_R(&c[(size_t)c[BELOW]], r);
+  return c[BELOW] > 0 ? T : 0;
+}
+
 static inline double transport_cdf(const double *c, double r) {
   const double cdf = energy_cdf(&c[(size_t)c[ENERGY]], r);
   return c[LIMIT] > 0 ? cdf : 0;
@@ -204,6 +210,7 @@ static inline double transport_by_sigma_s(const double *c, double r) {
 }
 
 CORE_KERNEL(eval_R, transport_R)
+CORE_KERNEL(eval_T, transport_T)
 CORE_KERNEL(eval_cdf, transport_cdf)
 CORE_KERNEL(eval_slope, transport_slope)
 CORE_KERNEL(eval_ln_R, transport_ln_R)
@@ -211,7 +218,7 @@ CORE_KERNEL(eval_ln_R, transport_ln_R)
 CORE_KERNEL(eval_by_sigma_a, transport_by_sigma_a)
 CORE_KERNEL(eval_by_sigma_s, transport_by_sigma_s)
 
-CORE_KERNEL_TABLE(transport, CORE_KERNELS_OF_ALL,
+CORE_KERNEL_TABLE(transport, CORE_KERNELS_OF_ALL, .evaluate[CORE_ELEMENTWISE_T] = eval_T,
                   .evaluate[CORE_ELEMENTWISE_BY_SIGMA_A] = eval_by_sigma_a,
                   .evaluate[CORE_ELEMENTWISE_BY_SIGMA_S] = eval_by_sigma_s);
 
@@ -703,6 +710,7 @@ static core_fault fill_table(const core_inputs *inputs, const core_medium *mediu
     fit_values(by_ratio->L[i], &c[SERIES + length + i * TERMS]);
   }
   c[ENERGY] = (double)before_energy;
+  c[BELOW] = 0;
   core_kernel_f64 *R =
       core_isa_kernels(inputs->isa, CORE_MODEL_TRANSPORT)->f64->evaluate[CORE_ELEMENTWISE_R];
   const double energy =
@@ -1062,6 +1070,42 @@ static core_fault solve_layers(const core_inputs *inputs, double tolerance,
                              inputs->stop);
 }
 
+/* Adds T to a profile of layers. */
+static core_fault add_below(const struct source *above, core_preparation *preparation) {
+  struct source source = {.medium = above->medium, .layers = above->layers, .side = 1};
+  struct panels panels = {.joined = false};
+  core_added_errors added = {{0}, 0};
+  const double end = end_of_layers(&source);
+  source.kappa = kappa_at(&source, end);
+  lay_panels_solved(&source, end, &panels, &added);
+  if (panels.count == 0) { /* T is too small to be known */
+    preparation->added.all = fmax(preparation->added.all, 1);
+    return (core_fault){0};
+  }
+  const size_t more = (SERIES + panels.count * TERMS) * sizeof(double);
+  double *c = realloc(preparation->table, preparation->table_bytes + more);
+  if (c == NULL) {
+    free(preparation->table);
+    preparation->table = NULL;
+    return CORE_OUT_OF_MEMORY;
+  }
+  const size_t at = preparation->table_bytes / sizeof(double);
+  memset(&c[at], 0, more);
+  c[BELOW] = (double)at;
+  set_scales(&c[at], core_sigma_t_prime(source.medium), 1);
+  set_series(&panels, source.kappa, &c[at]);
+  preparation->table = c;
+  preparation->table_bytes += more;
+  for (size_t i = 0; i < CORE_MODEL_ERROR_BANDS; i++) {
+    preparation->added.all = fmax(preparation->added.all, added.banded[i]);
+  }
+  const double most_mm = last_of(&panels) / core_sigma_t_prime(source.medium);
+  if (most_mm < preparation->reach.most_mm) {
+    preparation->reach = (core_reach){.most_mm = most_mm, .growth = growth_of(source.kappa)};
+  }
+  return (core_fault){0};
+}
+
 static core_fault prepare_layers(const core_inputs *inputs, double tolerance,
                                  core_preparation *preparation) {
   solver_layers *solution;
@@ -1081,6 +1125,10 @@ static core_fault prepare_layers(const core_inputs *inputs, double tolerance,
     preparation->added.banded[CORE_MODEL_ERROR_BANDS] = total->error / fmax(total->value, 1e-300);
     set_errors(&source, &panels, preparation);
     fault = fill_table(inputs, inputs->medium, &panels, source.kappa, NULL, false, preparation);
+    const core_medium *last = &inputs->medium[inputs->parameters->layer_count - 1];
+    if (fault.field == NULL && last->thickness_mm > 0) {
+      fault = add_below(&source, preparation);
+    }
   }
   solver_layers_free(solution);
   return fault;

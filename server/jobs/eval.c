@@ -34,6 +34,11 @@ wire_error eval_job_check_media(struct eval_job *eval, core_radii_range *radii) 
     core_fault fault =
         core_profile_check(fixed->model, fixed->moments, fixed->evaluator,
                            eval_job_medium(eval, channel), &eval->request.parameters, &range);
+    const core_medium *last = eval_job_medium(eval, channel) + fixed->layer_count - 1;
+    if (fault.field == NULL && (fixed->wanted & CORE_QUANTITY_T) != 0 && last->thickness_mm > 0 &&
+        fixed->model != CORE_MODEL_TRANSPORT) {
+      fault = (core_fault){"wanted", "no T: this model has only R; transport has both", 0};
+    }
     if (fault.field != NULL) {
       fault.index += (size_t)channel * fixed->layer_count;
       return job_error(fault);

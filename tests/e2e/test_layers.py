@@ -48,6 +48,18 @@ def test_every_message_has_the_values_of_a_stack(daemon):
         assert client.statistics()["cache_builds"] == builds
 
 
+def test_a_slab_that_is_cut_lets_the_same_light_through(daemon):
+    with Client(daemon("--workers", "1").url(), timeout_s=200) as client:
+        whole, cut = (
+            client.eval("transport", [layers], R_MM, wanted=["R", "T"], evaluator="f64", tolerance=1.0)
+            for layers in ([Medium(*HALF_SPACE, 1.0)], [Medium(*HALF_SPACE, 0.3), Medium(*HALF_SPACE, 0.7)])
+        )
+        errors = cut.numerical_error(quantity="T") + whole.numerical_error(quantity="T")
+        assert (abs(cut.T / whole.T - 1) <= errors).all() and (errors < 0.1).all()
+        assert (whole.T > 0).all()
+        assert (client.eval("better", SKIN, R_MM, wanted=["T"]).T == 0).all()
+
+
 def test_small_requests_go_on_beside_a_hundred_stacks(daemon):
     """The client that asked for the stacks leaves without an answer."""
     one = daemon("--workers", "1")

@@ -557,6 +557,13 @@ static bool good_derivative(double r, double value, bool scatters) {
   return (isfinite(value) || r > 1e30) && !isnan(value) && ((!isinf(r) && scatters) || value == 0);
 }
 
+/* These media have none. */
+static bool good_T(double r, double value, bool scatters) {
+  (void)r;
+  (void)scatters;
+  return value == 0 && !signbit(value);
+}
+
 static bool good_sample(double u, double value, bool scatters) {
   return value >= 0 && !signbit(value) && ((u > 0 && scatters) || value == 0) &&
          (u < 1 || !scatters || isinf(value));
@@ -580,6 +587,7 @@ static void check_edge(const kernel_pair *pair, double input, double value, bool
       {CORE_QUANTITY_TRANSFER, good_transfer},
       {CORE_QUANTITY_BY_SIGMA_A, good_derivative},
       {CORE_QUANTITY_BY_SIGMA_S, good_derivative},
+      {CORE_QUANTITY_T, good_T},
   };
   for (size_t i = 0; i < sizeof checks / sizeof checks[0]; i++) {
     if (checks[i].quantity == pair->todo.quantity) {

@@ -60,7 +60,7 @@ STATUSES = {
 }
 
 # quantities with a value for each radius and channel, in the order of a reply's arrays
-ELEMENTWISE = (1, 4, 16, 32, 64, 128, 256, 512, 1024, 2048, 8192)
+ELEMENTWISE = (1, 4, 16, 32, 64, 128, 256, 512, 1024, 2048, 8192, 16384)
 
 STRUCTURES = {
     "header": (
@@ -226,13 +226,13 @@ PAYLOADS = {
         "f64 albedo[channel_count]",
         "quantity_error errors[channel_count*wanted&65535]",
         "real r[count] if wanted&8 is 1",
-        "real values[channel_count*wanted&12277][count]",
+        "real values[channel_count*wanted&28661][count]",
     ),
     "sample_reply": (
         "eval_reply",
         "f64 albedo[channel_count]",
         "quantity_error errors[channel_count*wanted&65535]",
-        "real values[channel_count*wanted&12285][count]",
+        "real values[channel_count*wanted&28669][count]",
     ),
     "media_reply": (
         "list_reply",

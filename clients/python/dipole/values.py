@@ -318,6 +318,7 @@ class Result(_Evaluated):
         "wanted.",
     )
     R = _Quantity("R", "[C, N] 1/mm^2 per unit of power that entered.")
+    T = _Quantity("T", "[C, N] 1/mm^2: as R, of the light that leaves below the last layer.")
     cdf = _Quantity("cdf", "[C, N] power that leaves within r over all that leaves, 0 to 1.")
     dR_dr = _Quantity("dR_dr", "[C, N] 1/mm^3.")
     ln_R = _Quantity("ln_R", "[C, N]: finite even where R underflows. Its error is absolute.")
