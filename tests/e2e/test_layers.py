@@ -51,7 +51,7 @@ def test_every_message_has_the_values_of_a_stack(daemon):
 def test_a_slab_that_is_cut_lets_the_same_light_through(daemon):
     with Client(daemon("--workers", "1").url(), timeout_s=200) as client:
         whole, cut = (
-            client.eval("transport", [layers], R_MM, wanted=["R", "T"], evaluator="f64", tolerance=1.0)
+            client.eval("transport", [layers], R_MM, wanted=["R", "T"], evaluator="f64", tolerance=1e-3)
             for layers in ([Medium(*HALF_SPACE, 1.0)], [Medium(*HALF_SPACE, 0.3), Medium(*HALF_SPACE, 0.7)])
         )
         errors = cut.numerical_error(quantity="T") + whole.numerical_error(quantity="T")
