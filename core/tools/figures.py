@@ -393,7 +393,7 @@ def tissue_columns(client: dipole.Client, photons: int, kept: Path) -> dict[str,
 
 def draw_tissue(path: Path, columns: dict[str, np.ndarray]) -> None:
     """R, and below it the ratios to transport."""
-    a, s, g, eta = TISSUE
+    a, s, g, eta, _ = TISSUE
     figure, both = plt.subplots(2, sharex=True, figsize=(9, 8), layout="constrained")
     figure.suptitle(f"σa {a:g}/mm, σs {s:g}/mm, g {g:g}, η {eta:g}")
     for axes, over in zip(both, (1, columns["transport"])):

@@ -421,8 +421,8 @@ $ dipole eval --sigma-a 0.032 --sigma-s 0.74 --r 1 --model all,better --thicknes
 
 $ dipole eval --layer 2,5,0.8,1.4,0.05 --layer 0.1,10,0.8,1.33 --model transport --evaluator f64 --tolerance 0.1 --r 1,2 --format csv
 model,channel,layers,r,R,albedo,numerical_error,model_error,evaluator,notes
-transport,1,"2,5,0.8,1.4,0.05 0.1,10,0.8,1.33",1,0.0180815...,0.268918...,0,f64,
-transport,1,"2,5,0.8,1.4,0.05 0.1,10,0.8,1.33",2,0.003222...,0.268918...,0,f64,
+transport,1,"2,5,0.8,1.4,0.05 0.1,10,0.8,1.33",1,0.0180...,0.268918...,0,f64,
+transport,1,"2,5,0.8,1.4,0.05 0.1,10,0.8,1.33",2,0.00322...,0.268918...,0,f64,
 
 $ dipole table --layer 2,5,0.8,1.4,0.05 --layer 0.1,10,0.8,1.33 --tolerance 0.1 --output layers.dt > /dev/null; dipole eval --table layers.dt --r 1 --format csv
 model,channel,layers,r,R,albedo,numerical_error,model_error,evaluator,notes

@@ -62,7 +62,7 @@ def test_pages(drawn):
     """Only figures that have wanted panels, each in two forms."""
     sizes = {"07": (3, 5), "13": (3, 5), "17": (6, 6)}
     names = {f"figure_{n}_{form}.svg": n for n in sizes for form in ("log", "gamma")}
-    assert {path.name for path in drawn.glob("*.svg")} == {*names, "tissue.svg"}
+    assert {path.name for path in drawn.glob("*.svg")} == {*names, "tissue.svg", "layers.svg"}
     assert not list(drawn.rglob("*.part"))
     for name, figure in names.items():
         panels, curves = sizes[figure]
@@ -79,7 +79,7 @@ def test_index(drawn):
     assert all(target.startswith("#") or (drawn / target).is_file() for target in targets)
     assert {path.name for path in drawn.glob("*.svg")} <= set(targets)
     described = re.findall(r'<img [^>]*alt="(.*?)"', page, re.S)
-    assert len(described) == 4 and all(len(text) > 50 for text in described)
+    assert len(described) == 5 and all(len(text) > 50 for text in described)
 
 
 def test_tables(drawn):
@@ -104,7 +104,7 @@ def test_tables(drawn):
 def test_second_run_walks_what_is_missing(drawn):
     before = parts(drawn)
     walks = {f"walk_eta_{eta}_photons_120000_ratios_0.01_1" for eta in ETAS}
-    assert set(before) == walks | {"walk_tissue_photons_100000"}
+    assert set(before) == walks | {f"walk_{one}_photons_100000" for one in ("tissue", "slab")}
     lost, damaged = (f"walk_eta_{eta}_photons_120000_ratios_0.01_1" for eta in ETAS[1:])
     (drawn / "parts" / lost).unlink()
     (drawn / "parts" / damaged).write_bytes(before[damaged][1][:-100])

@@ -117,7 +117,7 @@ int main(void) {
   dipole_client *client = NULL;
   dipole_error error;
   dipole_result *result = NULL;
-  const dipole_medium medium = {0.032, 0.74, 0, 1.3};
+  const dipole_medium medium = {0.032, 0.74, 0, 1.3, 0};
   const double r[2] = {0.5, 1.0};
   dipole_query query = {0};
   if (!dipole_open(NULL, &client, &error)) {
