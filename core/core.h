@@ -333,6 +333,8 @@ typedef struct core_profile {
   double derivative_error;
   double derivative_error_per_mm;
   core_reach reach;
+  double T_error; /* the same of T, relative, 0 where T is 0 */
+  core_reach T_reach;
   unsigned notes;         /* bits of enum core_note */
   core_radii_range radii; /* the profile may be evaluated from least to most */
   double cost;            /* of one radius, in evaluations of a dipole */
@@ -453,7 +455,7 @@ size_t core_profile_bytes(const core_profile *profile);
  *          Its error is absolute: numerical_error + numerical_error_per_mm r + 8 epsilon |ln R|
  *   PDF    the density of radii, 2 pi r R over the albedo, 1/mm
  *   T      as R, of the light that leaves below the last layer: 0 below a half space. Only the model
- *          `transport` has it for other media, of which its error is the largest of any quantity
+ *          `transport` has it for other media
  *   RING   2 pi r R, the power that leaves per mm of radius; finite at r = 0 where R is not, 1/mm
  *   S      the BSSRDF for the two angles of the parameters (normal when not given), 1/(mm^2 sr):
  *          F_t(cos_in) R(r) F_t(cos_out) / (pi (1 - 2 C1(1 / eta))), with the exact C1

@@ -125,8 +125,7 @@ static size_t edges_below(double mfp) {
 double core_banded_error(const double errors[CORE_MODEL_ERROR_BANDS + 1], double all,
                          const core_medium *medium, unsigned wanted, core_radii_range radii) {
   enum {
-    ANY = CORE_QUANTITY_CDF | CORE_QUANTITY_SLOPE | CORE_QUANTITY_PDF | CORE_QUANTITY_TRANSFER |
-          CORE_QUANTITY_T
+    ANY = CORE_QUANTITY_CDF | CORE_QUANTITY_SLOPE | CORE_QUANTITY_PDF | CORE_QUANTITY_TRANSFER
   };
   const double sigma_t_prime = core_sigma_t_prime(medium);
   const bool at_radii = radii.least_mm <= radii.most_mm;
@@ -145,7 +144,7 @@ double core_banded_error(const double errors[CORE_MODEL_ERROR_BANDS + 1], double
 
 /* The quantities whose numerical error grows beyond the reach. The cdf and albedo are not among
  * them, because almost no energy is left there. */
-enum { FOLLOWS_R = AT_RADII | CORE_QUANTITY_SLOPE | CORE_QUANTITY_T };
+enum { FOLLOWS_R = AT_RADII | CORE_QUANTITY_SLOPE };
 
 /* The derivatives' reach, as a share of the profile's. */
 #define NEAR_REACH 0.9
@@ -169,7 +168,7 @@ core_stated_errors core_profile_errors(const core_profile *profile, unsigned wan
                                        core_radii_range radii) {
   const bool derivatives = core_wants_derivatives(wanted);
   const unsigned others = wanted & ~(unsigned)(CORE_QUANTITY_BY_SIGMA_A | CORE_QUANTITY_BY_SIGMA_S |
-                                               CORE_QUANTITY_MODEL_ERROR |
+                                               CORE_QUANTITY_T | CORE_QUANTITY_MODEL_ERROR |
                                                CORE_QUANTITY_MODEL_ERRORS | CORE_QUANTITY_RADIUS);
 
   const double most_mm = (wanted & FOLLOWS_R) != 0 ? radii.most_mm : 0;
@@ -179,12 +178,16 @@ core_stated_errors core_profile_errors(const core_profile *profile, unsigned wan
   const double of_others = fmax(numerical, slope) + core_error_beyond(profile->reach, most_mm) +
                            ((wanted & CORE_QUANTITY_S) != 0 ? CORE_S_ERROR : 0) +
                            ((wanted & CORE_QUANTITY_TRANSFER) != 0 ? CORE_TRANSFER_ERROR : 0);
-  if (is_too_near(profile, wanted, radii.least_mm)) {
+  const bool has_T =
+      (wanted & CORE_QUANTITY_T) != 0 && profile->T_error > 0 && radii.least_mm <= radii.most_mm;
+  const double of_T =
+      has_T ? profile->T_error + core_error_beyond(profile->T_reach, radii.most_mm) : 0;
+  if (is_too_near(profile, has_T ? wanted | CORE_QUANTITY_R : wanted, radii.least_mm)) {
     return (core_stated_errors){.numerical = (double)INFINITY};
   }
   return (core_stated_errors){
-      .numerical =
-          fmax(others != 0 ? of_others : 0, derivatives ? derivative_error(profile, radii) : 0),
+      .numerical = fmax(fmax(others != 0 ? of_others : 0, of_T),
+                        derivatives ? derivative_error(profile, radii) : 0),
       .numerical_per_mm = fmax(
           (others & ~(unsigned)CORE_QUANTITY_ALBEDO) != 0 ? profile->numerical_error_per_mm : 0,
           derivatives ? profile->derivative_error_per_mm : 0),

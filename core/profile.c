@@ -287,6 +287,10 @@ static core_fault prepare_model(core_profile *profile, const struct model *model
   }
   profile->numerical_error_per_mm = preparation.error_epsilons_per_mm * epsilon;
   profile->reach = preparation.reach;
+  profile->T_error = preparation.T_error > 0
+                         ? preparation.T_error + profile->numerical_error - preparation.added.all
+                         : 0;
+  profile->T_reach = preparation.T_reach;
   profile->notes = preparation.notes;
   note_albedo(profile,
               preparation.error + preparation.error_epsilons * DBL_EPSILON + preparation.added.all);
@@ -439,6 +443,8 @@ static core_fault prepare_table(core_profile *profile, const struct model *model
   profile->kernels = core_isa_lut_kernels(inputs.isa);
   profile->albedo = source->albedo;
   profile->reach = source->reach;
+  profile->T_error = source->T_error > 0 ? source->T_error + (double)FLT_EPSILON : 0;
+  profile->T_reach = source->T_reach;
   profile->notes = source->notes;
   profile->cost = 1;
   profile->scale_mm = source->scale_mm;

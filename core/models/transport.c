@@ -1040,20 +1040,33 @@ static double kappa_at(const struct source *source, double end) {
 }
 
 /* A solution of layers loses its digits far away. It is used up to the largest radius where its
- * relative error is at most this, or up to the end if that radius is smaller than the end by
- * MUCH_NEARER. */
+ * relative error is at most DIGITS_LEFT, which is no smaller than the end by MUCH_NEARER. Beyond, R is
+ * not known: the error grows to infinity within 8 % of the radius. */
 #define DIGITS_LEFT 0.05
 #define MUCH_NEARER 6.0 /* in ln x */
+#define LOST_GROWTH 1000.0
 
-static double end_of_layers(const struct source *source) {
-  const double end = find_end(source);
-  for (double y = end; y > end - MUCH_NEARER; y -= 0.5 * PANEL_WIDTH) {
-    const transport_number at = solved_at(source, real_exp_signed(y));
+/* Sets *end to the largest ln x that is used, and *growth to that of the reach if digits are lost
+ * before R is negligible, else to 0. Returns false if no radius has enough digits. */
+static bool find_end_of_layers(const struct source *source, double *end, double *growth) {
+  const double most = find_end(source);
+  for (*end = most; *end > most - MUCH_NEARER; *end -= 0.5 * PANEL_WIDTH) {
+    const transport_number at = solved_at(source, real_exp_signed(*end));
     if (at.error <= DIGITS_LEFT * at.value) {
-      return y;
+      *growth = *end < most ? LOST_GROWTH : 0;
+      return true;
     }
   }
-  return end;
+  return false;
+}
+
+/* Beyond the last panel its error holds, and the reach adds to it. */
+static void extend_errors(const struct source *source, double end, core_added_errors *added) {
+  const transport_number last = solved_at(source, real_exp_signed(end));
+  for (double x = real_exp_signed(end); x < 2 * core_error_edges_mfp[CORE_MODEL_ERROR_BANDS - 1];
+       x *= 1.1) {
+    enter_error(last.error / last.value, x, added);
+  }
 }
 
 static core_fault solve_layers(const core_inputs *inputs, double tolerance,
@@ -1075,11 +1088,14 @@ static core_fault add_below(const struct source *above, core_preparation *prepar
   struct source source = {.medium = above->medium, .layers = above->layers, .side = 1};
   struct panels panels = {.joined = false};
   core_added_errors added = {{0}, 0};
-  const double end = end_of_layers(&source);
-  source.kappa = kappa_at(&source, end);
-  lay_panels_solved(&source, end, &panels, &added);
-  if (panels.count == 0) { /* T is too small to be known */
-    preparation->added.all = fmax(preparation->added.all, 1);
+  double end, growth;
+  const bool known = find_end_of_layers(&source, &end, &growth);
+  if (known) {
+    source.kappa = kappa_at(&source, end);
+    lay_panels_solved(&source, end, &panels, &added);
+  }
+  if (panels.count == 0) {
+    preparation->T_error = (double)INFINITY;
     return (core_fault){0};
   }
   const size_t more = (SERIES + panels.count * TERMS) * sizeof(double);
@@ -1097,12 +1113,10 @@ static core_fault add_below(const struct source *above, core_preparation *prepar
   preparation->table = c;
   preparation->table_bytes += more;
   for (size_t i = 0; i < CORE_MODEL_ERROR_BANDS; i++) {
-    preparation->added.all = fmax(preparation->added.all, added.banded[i]);
+    preparation->T_error = fmax(preparation->T_error, added.banded[i]);
   }
-  const double most_mm = last_of(&panels) / core_sigma_t_prime(source.medium);
-  if (most_mm < preparation->reach.most_mm) {
-    preparation->reach = (core_reach){.most_mm = most_mm, .growth = growth_of(source.kappa)};
-  }
+  preparation->T_reach = (core_reach){last_of(&panels) / core_sigma_t_prime(source.medium),
+                                      fmax(growth, growth_of(source.kappa))};
   return (core_fault){0};
 }
 
@@ -1118,12 +1132,18 @@ static core_fault prepare_layers(const core_inputs *inputs, double tolerance,
     struct source source = {.medium = inputs->medium, .layers = solution};
     struct panels panels = {.joined = false};
     const transport_number *total = &balance.out[source.side];
-    const double end = end_of_layers(&source);
+    double end, growth;
+    if (!find_end_of_layers(&source, &end, &growth)) {
+      solver_layers_free(solution);
+      return (core_fault){"thickness", "thicker layers: R of these is not found; mc walks them", 0};
+    }
     source.kappa = kappa_at(&source, end);
     lay_panels_solved(&source, end, &panels, &preparation->added);
+    extend_errors(&source, end, &preparation->added);
     preparation->albedo = fmin(total->value, 1);
     preparation->added.banded[CORE_MODEL_ERROR_BANDS] = total->error / fmax(total->value, 1e-300);
     set_errors(&source, &panels, preparation);
+    preparation->reach.growth = fmax(growth, preparation->reach.growth);
     fault = fill_table(inputs, inputs->medium, &panels, source.kappa, NULL, false, preparation);
     const core_medium *last = &inputs->medium[inputs->parameters->layer_count - 1];
     if (fault.field == NULL && last->thickness_mm > 0) {

@@ -77,6 +77,8 @@ enum { GRIDS_MOST = 4 };
 #define PATH_ERROR 0.03
 #define DIGITS 2e-19
 
+#define NEARER 1.2
+
 /* One grid. */
 struct grid {
   size_t moments;
@@ -475,13 +477,19 @@ transport_number solver_layers_at(const solver_layers *solution, size_t side, do
       value_at(solution->grid[0], side, fmin(r, RADIUS_MOST) * solution->radius_mm, &size);
   const double unknown =
       PATH_ERROR * solution->floor[1] * size + DIGITS / (solution->radius_mm * solution->radius_mm);
-  if (!(value > 0) || r > RADIUS_MOST) { /* the value is not known: its size bounds it */
-    return (transport_number){0, isnan(value) ? (double)INFINITY : fabs(value) + unknown};
+  if (isnan(value)) {
+    return (transport_number){0, (double)INFINITY};
   }
   const double unit = solution->grid[0]->unit_mm / solution->radius_mm;
   const double error = fmax(solver_floor_at(solution->floor, unit, solution->layer[0].eta, r),
                             solver_error_near(solution->error[side], r));
-  return (transport_number){value, error * value + unknown};
+  if (value > 0 && r <= RADIUS_MOST && error < 1) {
+    return (transport_number){value, error * value + unknown};
+  }
+  /* Without a digit, all that is known is that light falls. */
+  const transport_number nearer =
+      solver_layers_at(solution, side, fmin(r / NEARER, RADIUS_MOST) * solution->radius_mm);
+  return (transport_number){fmax(value, 0), nearer.value + nearer.error + unknown};
 }
 
 /* ---- balance ------------------------------------------------------------------------------- */
