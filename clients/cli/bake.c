@@ -623,6 +623,8 @@ static bool is_local(const cli_settings *settings) {
   return kind_of(settings)->make == NULL;
 }
 
+#define RANGE_MOST_MM 1e6
+
 static int check(cli_settings *settings) {
   const struct kind *kind = kind_of(settings);
   if (kind == NULL) {
@@ -639,9 +641,12 @@ static int check(cli_settings *settings) {
     return cli_fail_usage("--size: %d to %d", SIDE_MIN, SIDE_MAX);
   }
   for (size_t i = 0; i < settings->range.count; i++) {
-    if (!(settings->range.items[i] > 0)) {
-      return cli_fail_usage("--range: more than 0");
+    if (!(settings->range.items[i] > 0 && settings->range.items[i] <= RANGE_MOST_MM)) {
+      return cli_fail_usage("--range: more than 0, up to %g mm", RANGE_MOST_MM);
     }
+  }
+  if (settings->range.count > 1 && settings->range.count != CLI_COLOURS) {
+    return cli_fail_usage("--range: one for all channels, or one for each of three");
   }
   return kind->of_medium ? cli_edge_check_medium(settings) : CLI_OK;
 }

@@ -380,6 +380,11 @@ static int write_native(const material *of) {
     return cli_fail_usage("--format native: %s has none, or there are not three channels",
                           name_of(of->to));
   }
+  for (size_t i = 1; i < of->count; i++) {
+    if (of->media[i].g != of->media[0].g || of->media[i].eta != of->media[0].eta) {
+      return cli_fail_usage("--format native: one g and eta for all channels");
+    }
+  }
   const char *names[NAMES];
   take_names(of->to, names);
   const bool split = names[NAME_FACTOR][0] != '\0';
@@ -522,6 +527,12 @@ static int check(cli_settings *settings) {
                             settings->length.items[i]);
     }
   }
+  const cli_numbers *const shared[] = {&settings->g, &settings->eta};
+  for (size_t i = 0; i < sizeof shared / sizeof *shared; i++) {
+    if (shared[i]->count > 1 && shared[i]->count != settings->colour.count) {
+      return cli_fail_usage("--g, --eta: one for all channels, or one for each");
+    }
+  }
   return settings->medium.count > 0 || settings->sigma_a.count > 0 || settings->sigma_s.count > 0
              ? cli_fail_usage("--medium, --sigma-a, --sigma-s: these are of --from " COEFFICIENTS)
              : CLI_OK;
@@ -529,12 +540,12 @@ static int check(cli_settings *settings) {
 
 /* Returns the millimetres of a unit; NAN if it is none. */
 static double unit_of(const char *unit) {
-  char *end;
+  char *end = "";
   const double value = strcmp(unit, "mm") == 0   ? 1
                        : strcmp(unit, "cm") == 0 ? 10
                        : strcmp(unit, "m") == 0  ? 1000
                                                  : strtod(unit, &end);
-  return value > 0 && value < INFINITY ? value : NAN;
+  return *end == '\0' && value > 0 && value < INFINITY ? value : NAN;
 }
 
 static int run_convert(const cli_settings *settings, dipole_client *client) {

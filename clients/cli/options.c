@@ -159,6 +159,7 @@ const cli_option *cli_options_find(const char *field) {
 }
 
 double cli_numbers_pick(const cli_numbers *numbers, size_t channel, double otherwise) {
+  assert(numbers->count <= 1 || channel < numbers->count);
   return numbers->count == 0 ? otherwise : numbers->items[numbers->count == 1 ? 0 : channel];
 }
 

@@ -213,6 +213,7 @@ static enum job_outcome begin_refining(struct fit_job *fit, const core_fit_resul
 /* Does one step of refining the next set. */
 static enum job_outcome refine_set(struct fit_job *fit) {
   struct refining *refining = fit->refining;
+  refining->lookup.cached.owner = fit->lookup.owner; /* the job may have been moved */
   const enum lookup_answer answer =
       profiles_get(&fit->job.context->profiles, &refining->lookup, &refining->medium);
   if (answer == LOOKUP_FAULT && !lookup_is_busy(refining->lookup.fault)) {

@@ -213,7 +213,7 @@ static void note_partial_frame(struct modbus_connection *c) {
 
 /* ---- reading --------------------------------------------------------------------------------- */
 
-/* The input has room for the rest of any frame when all complete frames have been replied_bytes. */
+/* The input has room for the rest of any frame when all complete frames have been answered. */
 static size_t find_room(void *owner, uint8_t **room) {
   struct modbus_connection *c = owner;
   if (c->begin > 0) {
@@ -244,7 +244,7 @@ static void on_received(void *owner, ssize_t bytes) {
   worker_run_later(&c->client);
 }
 
-/* Reads on, or ends the connection, after a turn has replied_bytes all frames that it can. */
+/* Reads on, or ends the connection, after a turn has answered all frames that it can. */
 static void read_on_or_end(struct modbus_connection *c) {
   if (has_unsent(c)) {
     transport_set_reading(&c->transport, false);

@@ -34,7 +34,7 @@ struct modbus_connection {
 
   uint64_t active_ms;        /* when bytes were last received or sent */
   uint64_t frame_started_ms; /* when the incomplete frame began to arrive; 0: there is none */
-  unsigned begin;            /* start of the input that has not been replied_bytes */
+  unsigned begin;            /* start of the input that has not been answered */
   unsigned end;
   unsigned unsent_begin; /* start of the part of the reply that has not been written */
   unsigned unsent_end;

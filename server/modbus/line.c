@@ -421,7 +421,7 @@ static void finish_turn(struct client *client) {
   }
 }
 
-/* Stops the line. A request that has been sent is still replied_bytes, after a silence, because a device
+/* Stops the line. A request that has been sent is still answered, after a silence, because a device
  * may deliver its bytes late. */
 static void stop_client(struct client *client) {
   struct modbus_line *line = line_of(client);
