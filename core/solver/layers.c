@@ -345,6 +345,10 @@ static double value_at(const struct grid *of, size_t side, double r_mm, double *
 static const core_fault no_fault = {NULL, NULL, 0};
 static const core_fault memory_fault = {CORE_FIELD_MEMORY, "enough for the solution", 0};
 
+/* Least extinction of a layer over the largest one's. The functions of angle do not resolve grazing
+ * light in a weaker one that scattering layers enclose: all grids share that error. */
+#define WEAKEST 0.1
+
 static bool is_eta(double eta) {
   return eta >= TRANSPORT_ETA_MIN && eta <= TRANSPORT_ETA_MAX;
 }
@@ -372,6 +376,16 @@ static core_fault check_layers(const solver_layer *layer, size_t count, double e
     const core_fault fault = check_layer(&layer[i], i, i + 1 == count);
     if (fault.field != NULL) {
       return fault;
+    }
+  }
+  double most = 0;
+  for (size_t i = 0; i < count; i++) {
+    most = fmax(most, layer[i].sigma_a_per_mm + layer[i].sigma_s_per_mm);
+  }
+  for (size_t i = 0; i + 1 < count; i++) {
+    if (layer[i].sigma_a_per_mm + layer[i].sigma_s_per_mm < WEAKEST * most) {
+      return (core_fault){"sigma_s",
+                          "sigma_a + sigma_s of a tenth of the largest, but in the last layer", i};
     }
   }
   return !is_eta(eta_below) ? (core_fault){"eta_below", "0.25 to 4", 0}

@@ -189,6 +189,7 @@ UNIT_TEST(layers_out_of_range_are_refused) {
       {{good, good}, 1, 1e-2, SOLVER_LAYERS_MAX + 1, 0, "layer_count"},
       {{good, {-0.1, 10, 0.8, 1.4, 1}}, 1, 1e-2, 2, 1, "sigma_a"},
       {{good, {0, 0, 0.8, 1.4, 1}}, 1, 1e-2, 2, 1, "sigma_s"},
+      {{{0.1, 0.9, 0, 1.4, 1}, good}, 1, 1e-2, 2, 0, "sigma_s"}, /* weaker than a tenth */
       {{good, {0.1, 10, 0.995, 1.4, 1}}, 1, 1e-2, 2, 1, "g"},
       {{{0.1, 10, 0.8, (double)NAN, 1}, good}, 1, 1e-2, 2, 0, "eta"},
       {{{0.1, 10, 0.8, 1.4, DEEP}, good}, 1, 1e-2, 2, 0, "thickness"},
