@@ -44,7 +44,7 @@ $(BUILD)/tests/accuracy/rings $(BUILD)/tests/bits: LIBS = $(CORE_LIBS)
 FUZZ := $(call objects,$(wildcard tests/fuzz/*.c))
 $(FUZZ): EXTRA_CPPFLAGS = $(call cflags,libuv libmodbus)
 $(BUILD)/fuzz: $(FUZZ) $(filter-out %/main.o %/cli/complete.o,$(SERVER) $(CLI)) $(BUILD)/libdipole.a
-$(BUILD)/fuzz: LIBS = -fsanitize=fuzzer $(SERVER_LIBS) $(call libs,libpng lcms2) $(CORE_LIBS)
+$(BUILD)/fuzz: LIBS = -fsanitize=fuzzer $(SERVER_LIBS) $(call libs,libpng lcms2 expat jansson) $(CORE_LIBS)
 
 PROGRAMS += $(TESTS) $(addprefix $(BUILD)/,bench soak-load dipoled-counting fuzz tests/bits tests/accuracy/truth tests/accuracy/rings)
 

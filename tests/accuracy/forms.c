@@ -507,6 +507,8 @@ quad form_truth(const form_model *form, form_values at, enum core_elementwise qu
     return ring;
   case CORE_ELEMENTWISE_TRANSFER:
     return form->known ? transfer(form, r) : (quad)NAN;
+  case CORE_ELEMENTWISE_T: /* of half spaces */
+    return form->part[0].medium.thickness_mm > 0 ? (quad)NAN : 0;
   case CORE_ELEMENTWISE_BY_SIGMA_A: /* form_derivative() */
   case CORE_ELEMENTWISE_BY_SIGMA_S:
     return (quad)NAN;
