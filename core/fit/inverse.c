@@ -25,7 +25,7 @@ enum {
  * those of a second medium. */
 #define ERRORS 3.0
 _Static_assert((int)ERRORS *(int)ERRORS >= (int)CORE_FIT_AMBIGUOUS,
-               "the rectangle holds all second media");
+               "the rectangle of readings that is searched holds every second solution");
 
 struct fit_inverse {
   double first[2];              /* ln of the readings at the beginning of the raster */

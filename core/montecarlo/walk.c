@@ -75,7 +75,7 @@ static inline struct deflection deflect_by_square(float t, lane_uniform u) {
 struct drawn {
   lane_mask first;
   uint32_t count; /* number of points of the chosen function */
-  uint32_t i;     /* index of the point among them */
+  uint32_t i;     /* index of the point among these */
   float inverse;  /* 1 / count */
 };
 

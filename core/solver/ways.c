@@ -20,7 +20,7 @@ static double index_of(const ways *of, ptrdiff_t layer) {
   return layer < 0 ? 1 : (size_t)layer >= of->layers ? of->index_below : of->layer[layer].index;
 }
 
-/* ---- which there are ------------------------------------------------------------------------------ */
+/* ---- finding the ways by which light leaves -------------------------------------------------- */
 
 /* Follows light upwards or downwards from a boundary of a layer, and records each way by which it
  * leaves. */

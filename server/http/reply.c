@@ -201,7 +201,7 @@ static void write_eval(struct http_text *text, const uint8_t *media, uint32_t la
 
 /* ---- the other replies ----------------------------------------------------------------------- */
 
-/* Writes the parts of a reply that have nothing of their own, and their units. */
+/* Writes the parts of a reply, for messages without a function of their own here, and their units. */
 static void write_parts(struct http_text *text, const schema_payload *reply,
                         const uint8_t *payload) {
   schema_layout layout;

@@ -19,10 +19,10 @@ struct gather_work {
   uint32_t ready; /* number of channels whose profiles are ready */
   core_gather_sum *sum;
   core_gather_scratch *scratch;
-  core_gather_visits visits;           /* counts of the current part */
-  float worst;                         /* the largest bound of the current part */
-  double cost;                         /* cost of the queries counted so far */
-  double done_radii;                   /* work done on a query that takes several parts */
+  core_gather_visits visits; /* counts of the current part */
+  float worst;               /* the largest bound of the current part */
+  double cost;               /* cost of the queries counted so far, in evaluations of a dipole */
+  double done_radii;         /* work done on a query that takes several parts */
   uint32_t order[GATHER_PART_QUERIES]; /* of the current part, or of those that are being counted */
   float bounds[GATHER_PART_QUERIES * CORE_GATHER_CHANNELS_MAX];
   double sums[GATHER_PART_QUERIES * CORE_GATHER_CHANNELS_MAX]; /* sums of the current part */
