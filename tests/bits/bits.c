@@ -49,7 +49,7 @@ static double spread(uint64_t *state, int least_exponent, int most_exponent) {
 }
 
 static core_medium random_medium(uint64_t *state) {
-  core_medium medium;
+  core_medium medium = {.thickness_mm = 0};
   medium.sigma_s_per_mm = spread(state, -20, 20);
   medium.sigma_a_per_mm = core_splitmix(state) % 8 == 0 ? 0 : spread(state, -30, 20);
   medium.g = 1.9 * core_splitmix_f64(state) - 0.95;
