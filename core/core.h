@@ -357,8 +357,9 @@ typedef struct core_profile {
 } core_profile;
 
 /* Returns the fault that core_profile_prepare() would return for the same arguments, but takes less
- * time. If there is no fault, *radii is the range where such a profile may be evaluated. Two faults
- * show only in preparing: that memory has run out, and that a fit or table misses the tolerance.
+ * time. If there is no fault, *radii is the range where such a profile may be evaluated. Some
+ * faults show only in preparing: that memory has run out, that a fit or table misses the tolerance,
+ * and that the solver refuses layers (`sigma_s`) or finds none of their light (`thickness`).
  * parameters and radii may be NULL. */
 core_fault core_profile_check(unsigned model, unsigned moments, unsigned evaluator,
                               const core_medium *medium, const core_parameters *parameters,

@@ -500,6 +500,9 @@ transport_number solver_layers_at(const solver_layers *solution, size_t side, do
   if (value > 0 && r <= RADIUS_MOST && error < 1) {
     return (transport_number){value, error * value + unknown};
   }
+  if (r < SOLVER_ERROR_LEAST) {
+    return (transport_number){fmax(value, 0), (double)INFINITY};
+  }
   /* Without a digit, all that is known is that light falls. */
   const transport_number nearer =
       solver_layers_at(solution, side, fmin(r / NEARER, RADIUS_MOST) * solution->radius_mm);

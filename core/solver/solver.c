@@ -407,6 +407,9 @@ transport_number solver_at(const solver_solution *solution, size_t eta, double r
   if (value > 0 && error < 1) {
     return (transport_number){value, error * value};
   }
+  if (r < SOLVER_ERROR_LEAST) {
+    return (transport_number){fmax(value, 0), (double)INFINITY};
+  }
   /* If no digit of R is known, all that is known is that R decreases. */
   const transport_number nearer = solver_at(solution, eta, r / NEARER);
   return (transport_number){fmax(value, 0), nearer.value + nearer.error};
