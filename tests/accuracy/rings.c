@@ -1,6 +1,6 @@
 /* rings MILLIONS
  * rings media SEED COUNT [FIRST]
- * rings walked MILLIONS
+ * rings walked MILLIONS [MEDIUM]
  *
  * The first form compares Monte Carlo with the solver for any phase function, ring by ring, with at
  * least MILLIONS of photons for each g and for each mixture of two functions. It exits with
@@ -18,8 +18,8 @@
  * line of CSV for each: found is the largest relative difference of R from 0.01 to 30 mean free
  * paths, and share the largest difference over what is stated at its radius, which is `at`.
  *
- * `walked` walks at least MILLIONS of photons for each of ten such media, and prints a line of CSV
- * for each ring, with what the solver (tolerance 1e-3) has and states; beyond is by how many
+ * `walked` walks at least MILLIONS of photons for each of ten such media, or for one of them, MEDIUM
+ * from 0 to 9, and prints a line of CSV for each ring, with what the solver (tolerance 1e-3) has and states; beyond is by how many
  * standard errors Monte Carlo is off by more than what is stated. */
 #include <math.h>
 #include <stdlib.h>
@@ -225,7 +225,8 @@ static const walks_medium walked_media[WALKED] = {
 };
 
 struct walked {
-  uint64_t photons; /* of each part */
+  uint64_t photons;    /* of each part */
+  size_t first, count; /* media */
   tools_progress progress;
   walks_result results[WALKED][PARTS];
   solver_solution *solutions[WALKED];
@@ -234,15 +235,17 @@ struct walked {
 /* Solves the media, then walks their parts. */
 static void walk_one(void *context, size_t i) {
   struct walked *run = context;
-  const walks_medium *medium = &walked_media[i % WALKED];
-  if (i < WALKED) {
+  const size_t number = run->first + i % run->count;
+  const walks_medium *medium = &walked_media[number];
+  if (i < run->count) {
     const solver_phase phase = {.g = medium->g};
-    tools_check(solver_solve(&run->solutions[i], core_isa_select(NULL), medium->ratio, &phase,
+    tools_check(solver_solve(&run->solutions[number], core_isa_select(NULL), medium->ratio, &phase,
                              &medium->eta, 1, TOLERANCE),
                 "the solver");
   } else {
-    const size_t part = i / WALKED - 1;
-    walks_run(&run->results[i % WALKED][part], medium, WALKS_TENTHS, run->photons, SEED + i);
+    const size_t part = i / run->count - 1;
+    walks_run(&run->results[number][part], medium, WALKS_TENTHS, run->photons,
+              SEED + WALKED * (part + 1) + number);
   }
   tools_progress_add(&run->progress, 1);
 }
@@ -271,16 +274,18 @@ static double print_walked(const struct walked *run, size_t i) {
   return worst;
 }
 
-static bool check_walked(double millions) {
+static bool check_walked(double millions, size_t first, size_t count) {
   static struct walked run;
+  run.first = first;
+  run.count = count;
   run.photons =
       ((uint64_t)(millions * 1e6 / PARTS) / CORE_MC_BATCH_PHOTONS + 1) * CORE_MC_BATCH_PHOTONS;
-  tools_progress_start(&run.progress, WALKED * (1 + PARTS));
-  tools_each(tools_processors(), WALKED * (1 + PARTS), walk_one, &run);
+  tools_progress_start(&run.progress, count * (1 + PARTS));
+  tools_each(tools_processors(), count * (1 + PARTS), walk_one, &run);
   tools_progress_end(&run.progress);
   printf("ratio,g,eta,from,to,walked,sigma,solved,stated,photons,beyond\n");
   double worst = 0;
-  for (size_t i = 0; i < WALKED; i++) {
+  for (size_t i = first; i < first + count; i++) {
     worst = fmax(worst, print_walked(&run, i));
     solver_free(run.solutions[i]);
   }
@@ -299,13 +304,15 @@ int main(int argc, char **argv) {
                ? EXIT_SUCCESS
                : EXIT_FAILURE;
   }
-  const bool walks = argc == 3 && strcmp(argv[1], "walked") == 0;
-  const double millions = argc == 2 || walks ? atof(argv[argc - 1]) : 0;
-  if (!(millions >= 0.1 && millions <= 1e6)) {
-    tools_fail("usage: rings MILLIONS | media SEED COUNT [FIRST] | walked MILLIONS");
+  const bool walks = argc >= 3 && strcmp(argv[1], "walked") == 0;
+  const double millions = argc == 2 || walks ? atof(argv[walks ? 2 : 1]) : 0;
+  const double one = walks ? number_of(argv[3]) : 0;
+  if (!(millions >= 0.1 && millions <= 1e6 && one >= 0 && one < WALKED)) {
+    tools_fail("usage: rings MILLIONS | media SEED COUNT [FIRST] | walked MILLIONS [MEDIUM]");
   }
   if (walks) {
-    return check_walked(millions) ? EXIT_SUCCESS : EXIT_FAILURE;
+    const bool all = argv[3] == NULL;
+    return check_walked(millions, (size_t)one, all ? WALKED : 1) ? EXIT_SUCCESS : EXIT_FAILURE;
   }
   static struct run run;
   run.tolerance = millions < FINEST_FROM_MILLIONS ? 1e-3 : 1e-4;
