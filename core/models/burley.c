@@ -19,7 +19,8 @@
  * Domain: every medium that core_medium_check() accepts; DMFP also needs sigma_a > 0. Beyond FAR d
  * R is 0 and the cdf is 1.
  *
- * Error: 10 epsilon (1 + r / d), relative. A sampled radius belongs to a cdf that differs from the
+ * Error: 10 epsilon (1 + r / d), relative. For DMFP it is 25 epsilon (1 + r / d): near A = 1 the
+ * relative error of A grows fivefold in s. A sampled radius belongs to a cdf that differs from the
  * wanted one by at most 4 epsilon, relative to the cdf and also to 1 - cdf.
  */
 #include "core/kernels.h"
@@ -325,8 +326,8 @@ core_fault core_burley_prepare(const core_inputs *inputs, core_preparation *prep
   lane_fill(shared, lane_of_medium(shared, CORE_DIPOLE_BETTER, inputs->moments, inputs->medium), c);
   preparation->notes = core_similarity_note(inputs);
   preparation->albedo = c[ALBEDO];
-  preparation->error_epsilons = 10;
-  preparation->error_epsilons_per_mm = 10 * c[PER_D];
+  preparation->error_epsilons = inputs->variant == CORE_BURLEY_DMFP ? 25 : 10;
+  preparation->error_epsilons_per_mm = preparation->error_epsilons * c[PER_D];
   preparation->scale_mm = c[D];
   return (core_fault){0};
 }
