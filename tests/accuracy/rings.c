@@ -18,9 +18,9 @@
  * line of CSV for each: found is the largest relative difference of R from 0.01 to 30 mean free
  * paths, and share the largest difference over what is stated at its radius, which is `at`.
  *
- * `walked` walks at least MILLIONS of photons for each of ten such media, or for one of them, MEDIUM
- * from 0 to 9, and prints a line of CSV for each ring, with what the solver (tolerance 1e-3) has and states; beyond is by how many
- * standard errors Monte Carlo is off by more than what is stated. */
+ * `walked` walks at least MILLIONS of photons for each of ten such media, or for MEDIUM (0 to 9) of
+ * them, and prints a line of CSV for each ring, with what the solver (tolerance 1e-3) has and
+ * states; beyond is by how many standard errors Monte Carlo is off by more than what is stated. */
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
