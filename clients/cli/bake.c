@@ -150,9 +150,6 @@ static int make_kernel(bake *of) {
   const bool common = settings->common;
   double ranges[CLI_COLOURS], most = 0, errors[CLI_COLOURS], steps[CLI_COLOURS],
                               beyond[CLI_COLOURS];
-  if (count < TAPS_MIN || count > TAPS_MAX || count % 2 == 0) {
-    return cli_fail_usage("--taps: an odd number from %d to %d", TAPS_MIN, TAPS_MAX);
-  }
   set_rows(made, count, common ? 4 : 6, common ? common_names : names);
   for (size_t i = 0; i < CLI_COLOURS; i++) {
     ranges[i] = settings->range.count > 0 ? cli_numbers_pick(&settings->range, i, 0)
@@ -289,9 +286,6 @@ static int make_lut(bake *of) {
   static const char *const names[] = {"n_dot_l", "curvature_per_mm", "red", "green", "blue"};
   const size_t size = of->settings->size.value;
   double errors[CLI_COLOURS] = {0};
-  if (size > SPHERE_MAX) {
-    return cli_fail_usage("--size: of lut, %d to %d", SIDE_MIN, SPHERE_MAX);
-  }
   set_rows(&of->sheet, size * size, 5, names);
   for (size_t k = 0; k < size; k++) {
     const double curvature = ((double)k + 0.5) / (double)size; /* 1/mm */
@@ -637,8 +631,13 @@ static int check(cli_settings *settings) {
                             (int)strlen(kind->formats) - 2, kind->formats + 1);
     }
   }
-  if (settings->size.value < SIDE_MIN || settings->size.value > SIDE_MAX) {
-    return cli_fail_usage("--size: %d to %d", SIDE_MIN, SIDE_MAX);
+  const size_t size = settings->size.value, tap_count = settings->taps.value;
+  const size_t size_most = kind->make == make_lut ? SPHERE_MAX : SIDE_MAX;
+  if (size < SIDE_MIN || size > size_most) {
+    return cli_fail_usage("--size: of %s, %d to %zu", kind->name, SIDE_MIN, size_most);
+  }
+  if (tap_count < TAPS_MIN || tap_count > TAPS_MAX || tap_count % 2 == 0) {
+    return cli_fail_usage("--taps: an odd number from %d to %d", TAPS_MIN, TAPS_MAX);
   }
   for (size_t i = 0; i < settings->range.count; i++) {
     if (!(settings->range.items[i] > 0 && settings->range.items[i] <= RANGE_MOST_MM)) {
@@ -648,7 +647,7 @@ static int check(cli_settings *settings) {
   if (settings->range.count > 1 && settings->range.count != CLI_COLOURS) {
     return cli_fail_usage("--range: one for all channels, or one for each of three");
   }
-  return kind->of_medium ? cli_edge_check_medium(settings) : CLI_OK;
+  return kind->of_medium ? cli_medium_check(settings) : CLI_OK;
 }
 
 /* Sets the radii, and the facts that all kinds of files state about the media. */

@@ -375,10 +375,9 @@ static void take_names(const convention *of, const char *names[NAMES]) {
 
 /* Writes the parameters in the form in which the target's users enter them. */
 static int write_native(const material *of) {
-  const native_form *form = of->to != NULL ? of->to->form : &form_NONE;
-  if (form == &form_NONE || of->count != CLI_COLOURS) {
-    return cli_fail_usage("--format native: %s has none, or there are not three channels",
-                          name_of(of->to));
+  const native_form *form = of->to->form;
+  if (of->count != CLI_COLOURS) {
+    return cli_fail_usage("--format native: give three channels, not %zu", of->count);
   }
   for (size_t i = 1; i < of->count; i++) {
     if (of->media[i].g != of->media[0].g || of->media[i].eta != of->media[0].eta) {
@@ -496,6 +495,20 @@ static bool read_file(cli_settings *settings, const convention *from) {
   return true;
 }
 
+/* Returns the millimetres of a unit; NAN if it is none. */
+static double unit_of(const char *unit) {
+  char *end = "";
+  const double value = strcmp(unit, "mm") == 0   ? 1
+                       : strcmp(unit, "cm") == 0 ? 10
+                       : strcmp(unit, "m") == 0  ? 1000
+                                                 : strtod(unit, &end);
+  return *end == '\0' && value > 0 && value < INFINITY ? value : NAN;
+}
+
+static bool is_native(const cli_settings *settings) {
+  return settings->format != NULL && strcmp(settings->format, "native") == 0;
+}
+
 static int check(cli_settings *settings) {
   const convention *from, *to;
   if (settings->source == NULL) {
@@ -505,8 +518,14 @@ static int check(cli_settings *settings) {
       !find_convention("to", settings->target, &to)) {
     return CLI_USAGE;
   }
+  if (isnan(unit_of(settings->unit))) {
+    return cli_fail_usage("--unit: mm, cm, m, or a number of millimetres");
+  }
+  if (is_native(settings) && (to == NULL || to->form == &form_NONE)) {
+    return cli_fail_usage("--format native: %s has none", name_of(to));
+  }
   if (from == NULL) {
-    return cli_edge_check_medium(settings);
+    return cli_medium_check(settings);
   }
   if (settings->operand != NULL && !read_file(settings, from)) {
     return CLI_FAILED;
@@ -538,24 +557,11 @@ static int check(cli_settings *settings) {
              : CLI_OK;
 }
 
-/* Returns the millimetres of a unit; NAN if it is none. */
-static double unit_of(const char *unit) {
-  char *end = "";
-  const double value = strcmp(unit, "mm") == 0   ? 1
-                       : strcmp(unit, "cm") == 0 ? 10
-                       : strcmp(unit, "m") == 0  ? 1000
-                                                 : strtod(unit, &end);
-  return *end == '\0' && value > 0 && value < INFINITY ? value : NAN;
-}
-
 static int run_convert(const cli_settings *settings, dipole_client *client) {
   material of = {.settings = settings, .client = client, .unit_mm = unit_of(settings->unit)};
   cli_profile profile = {0};
   find_convention("from", settings->source, &of.from);
   find_convention("to", settings->target, &of.to);
-  if (!(of.unit_mm > 0)) {
-    return cli_fail_usage("--unit: mm, cm, m, or a number of millimetres");
-  }
   if (of.from == NULL) {
     const int status = cli_profile_take(settings, client, &profile);
     if (status != CLI_OK) {
@@ -576,7 +582,7 @@ static int run_convert(const cli_settings *settings, dipole_client *client) {
     return CLI_FAILED;
   }
   tell_notes(&of);
-  if (settings->format != NULL && strcmp(settings->format, "native") == 0) {
+  if (is_native(settings)) {
     return write_native(&of);
   }
   const cli_report output = {.facts = put_facts, .rows = of.count, .put_row = put_channel};

@@ -6,13 +6,6 @@
 #include "clients/cli/profile.h"
 #include "core/core.h"
 
-int cli_edge_check_medium(const cli_settings *settings) {
-  return settings->thickness.count > 0
-             ? cli_fail_usage(
-                   "--thickness: colours and edges are those of half spaces: leave it out")
-             : cli_medium_check(settings);
-}
-
 bool cli_edge_radii(const cli_settings *settings, dipole_client *client, const dipole_medium *media,
                     size_t count, double **r_mm, double *colours) {
   dipole_result *result;

@@ -8,9 +8,6 @@
 
 enum { CLI_EDGE_RADII = 4096 };
 
-/* Checks the options of the medium, which is a half space, without a daemon. Returns an exit status. */
-int cli_edge_check_medium(const cli_settings *settings);
-
 /* Sets *r_mm to the radii between which equal shares of the light leave, [count][CLI_EDGE_RADII] and
  * ascending, of media under transport, and colours[count], unless it is NULL, to their albedos. Says
  * what is wrong and returns false if that fails. */

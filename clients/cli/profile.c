@@ -27,12 +27,12 @@ const cli_option cli_medium_options[] = {
     CLI_OPTION(
         NUMBERS, eta, NULL,
         "refractive index inside over outside (default: that of the measured medium, else 1.3)"),
-    CLI_OPTION(NUMBERS, thickness, NULL,
-               "of a slab, mm (default: a half space); transport, multipoles and mc take slabs"),
     {0},
 };
 
 const cli_option cli_layer_options[] = {
+    CLI_OPTION(NUMBERS, thickness, NULL,
+               "of a slab, mm (default: a half space); transport, multipoles and mc take slabs"),
     {"layer",
      "in place of all this: a layer of a stack, from the top down; repeat it for each. A last one "
      "without thickness (mm) is a half space. transport and mc take stacks",

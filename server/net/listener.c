@@ -239,7 +239,7 @@ static bool open_unix(struct listener *listener, const char *url, const char *pa
     bound = bind(listener->fd, (struct sockaddr *)&address, sizeof address);
   }
   if (bound != 0) {
-    return complain(url, strerror(errno));
+    return complain(url, tcp_why_not(errno));
   }
   note_file(listener, path);
   if (!set_permissions(&listener->server->options, url, path) ||

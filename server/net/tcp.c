@@ -126,6 +126,12 @@ static bool is_repeated(const struct addrinfo *list, const struct addrinfo *addr
   return list != address;
 }
 
+const char *tcp_why_not(int error) {
+  return error == EADDRINUSE ? "Address already in use: end the program that has it, or give "
+                               "another address (--listen, --http, --metrics or --modbus)"
+                             : strerror(error);
+}
+
 /* Listens at the addresses of a list. One that the machine does not have is left out
  * if another is there. Returns how many; if one fails, closes all, returns 0 and sets *why. */
 static size_t listen_at_all(const struct addrinfo *list, int fds[TCP_ADDRESSES_MAX],
@@ -138,7 +144,7 @@ static size_t listen_at_all(const struct addrinfo *list, int fds[TCP_ADDRESSES_M
       count++;
     } else if (!is_repeated(list, one)) {
       const int error = errno;
-      *why = strerror(error);
+      *why = tcp_why_not(error);
       if (error != EADDRNOTAVAIL && error != EAFNOSUPPORT) {
         while (count > 0) {
           close(fds[--count]);

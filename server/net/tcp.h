@@ -13,6 +13,9 @@ enum { TCP_ADDRESSES_MAX = 8 }; /* most addresses of one host name */
  * are. On failure, returns 0 and sets *why to the reason. */
 size_t tcp_listen(const char *host_port, int fds[TCP_ADDRESSES_MAX], const char **why);
 
+/* Says why a socket cannot listen, and what to do if another program does. error: an errno. */
+const char *tcp_why_not(int error);
+
 /* Listens at [HOST]:PORT, where no HOST means the loopback interface: at each address of a name.
  * Returns how many sockets it has opened. On failure, prints a message with the option's name to
  * standard error and returns 0. */

@@ -133,7 +133,7 @@ $ dipole convert --from openpbr --colour .5 --length 1 --unit inch
 
 $ dipole convert --from openpbr --colour .5 --length 1 --to gltf --format native
 ! dipole convert: --from openpbr: renderers that use its example formula need --typed
-! dipole convert: --format native: gltf has none, or there are not three channels
+! dipole convert: --format native: give three channels, not 1
 ! `dipole convert --help` says more.
 ? 2
 

@@ -180,7 +180,7 @@ def test_a_map_of_colours_shows_them(client, light, tmp_path):
 @pytest.mark.parametrize("arguments, says", [
     (["kernel"], "--medium"), (["halo", "--medium", "skin1"], "KIND"), (["kernel", "--medium", "skin1", "--taps", "12"], "odd"),
     (["gaussians", "--medium", "skin1", "--count", "13"], "2 to 12"),
-    (["burley", "--medium", "skin1", "--thickness", "2"], "half spaces"),
+    (["burley", "--medium", "skin1", "--thickness", "2"], "no such option"),
     (["kernel", "--medium", "skin1", "--range", "0"], "more than 0"), (["colour-map", "--size", "2"], "16 to"),
     (["kernel", "--medium", "skin1", "--format", "cube"], "kernel has c,hlsl,csv,json"),
     (["formula", "--format", "cube"], "python"), (["lut", "--medium", "skin1", "--format", "osl"], "lut has"),

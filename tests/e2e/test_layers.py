@@ -4,19 +4,19 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from dipole import Client, Medium, Points, Refused
+from dipole import Client, Medium, Points, Refused, Stack
 from test_http import post
 
 HALF_SPACE = (0.5, 1.0, 0.0, 1.3)
-STACK = [Medium(*HALF_SPACE, 0.7), Medium(*HALF_SPACE)]  # a half space that is cut
+STACK = Stack(Medium(*HALF_SPACE, 0.7), Medium(*HALF_SPACE))  # a half space that is cut
 SKIN = (0.032, 0.74, 0.0, 1.3)
 R_MM = [0.5, 1.0, 2.0]
 
 
-def stacks(seed: int, count: int) -> list[list[Medium]]:
+def stacks(seed: int, count: int) -> list[Stack]:
     """Returns random media of two layers."""
     numbers = np.random.default_rng(seed).uniform(0.1, 1.0, (count, 5))
-    return [[Medium(a, s, 0.0, 1.3, d), Medium(b, t, 0.0, 1.3)] for a, s, d, b, t in numbers.tolist()]
+    return [Stack(Medium(a, s, 0.0, 1.3, d), Medium(b, t, 0.0, 1.3)) for a, s, d, b, t in numbers.tolist()]
 
 
 def test_every_message_has_the_values_of_a_stack(daemon):
@@ -24,23 +24,23 @@ def test_every_message_has_the_values_of_a_stack(daemon):
     one = daemon("--workers", "1", "--http", "127.0.0.1:0")
     with Client(one.url(), timeout_s=200) as client:
         options = {"evaluator": "f64", "tolerance": 1.0}
-        cut = client.eval("transport", [STACK], R_MM, wanted=["R", "albedo", "cdf"], **options)
+        cut = client.eval("transport", STACK, R_MM, wanted=["R", "albedo", "cdf"], **options)
         whole = client.eval("transport", HALF_SPACE, R_MM, wanted=["R", "albedo"], evaluator="f64")
         errors = cut.numerical_error(quantity="R") + whole.numerical_error(quantity="R")
         assert (abs(cut.R / whole.R - 1) <= errors).all()
         assert cut.albedo[0] == pytest.approx(whole.albedo[0], rel=1e-4)
         assert cut.model_error.tolist() == [0.0]
 
-        drawn = client.sample("transport", [STACK], cut.cdf[0], **options)
+        drawn = client.sample("transport", STACK, cut.cdf[0], **options)
         np.testing.assert_allclose(drawn.r[0], R_MM, rtol=1e-9)
         points = Points(np.zeros((1, 3)), np.ones((1, 1)))
         places = np.array([[r, 0.0, 0.0] for r in R_MM])
         parameters = {"tolerance": 1.0}
-        sums = client.gather("transport", [STACK], points, places, tolerance=0, evaluator="f64",
+        sums = client.gather("transport", STACK, points, places, tolerance=0, evaluator="f64",
                              parameters=parameters)  # fmt: skip
         np.testing.assert_allclose(sums.M[:, 0], cut.R[0], rtol=float(sums.numerical_error[0]))
         builds = client.statistics()["cache_builds"]
-        assert client.eval("transport", [STACK], [3.0], **options).R.shape == (1, 1)
+        assert client.eval("transport", STACK, [3.0], **options).R.shape == (1, 1)
         layers = [dict(layer._asdict()) for layer in STACK]
         reply = post(one, "/v1/eval", model="transport", medium=[layers], r=R_MM, **options).json
         assert reply["channels"][0]["R"] == cut.R[0].tolist()
@@ -51,8 +51,8 @@ def test_every_message_has_the_values_of_a_stack(daemon):
 def test_a_slab_that_is_cut_lets_the_same_light_through(daemon):
     with Client(daemon("--workers", "1").url(), timeout_s=200) as client:
         whole, cut = (
-            client.eval("transport", [layers], R_MM, wanted=["R", "T"], evaluator="f64", tolerance=1e-3)
-            for layers in ([Medium(*HALF_SPACE, 1.0)], [Medium(*HALF_SPACE, 0.3), Medium(*HALF_SPACE, 0.7)])
+            client.eval("transport", layers, R_MM, wanted=["R", "T"], evaluator="f64", tolerance=1e-3)
+            for layers in (Medium(*HALF_SPACE, 1.0), Stack(Medium(*HALF_SPACE, 0.3), Medium(*HALF_SPACE, 0.7)))
         )
         errors = cut.numerical_error(quantity="T") + whole.numerical_error(quantity="T")
         assert (abs(cut.T / whole.T - 1) <= errors).all() and (errors < 0.1).all()
@@ -84,5 +84,5 @@ def test_a_deadline_ends_the_wait_for_a_stack(daemon):
 
 def test_a_slab_whose_light_is_not_found_is_refused(daemon):
     with daemon("--workers", "1").client() as client, pytest.raises(Refused) as refused:
-        client.eval("transport", [[Medium(1.0, 10.0, 0.5, 1.4, 0.1)]], R_MM, evaluator="f64")
+        client.eval("transport", Medium(1.0, 10.0, 0.5, 1.4, 0.1), R_MM, evaluator="f64")
     assert refused.value.field == "thickness"

@@ -383,10 +383,14 @@ def test_whole_numbers_may_be_floats(client):
 
 def test_layers(client):
     """What each layer absorbs adds up, and light leaves below the last one."""
-    stack = [Medium(2, 5, 0.8, 1.4, 0.05), Medium(0.1, 10, 0.8, 1.33, 0.5)]
+    stack = dipole.Stack(Medium(2, 5, 0.8, 1.4, 0.05), Medium(0.1, 10, 0.8, 1.33, 0.5))
     found = client.mc(stack, EDGES, photons=16 * BATCH, parameters={"eta_below": 1.33})
     energy = found.energies[0]
     absorbed = [one.value for one in energy.in_layer]
     assert sum(absorbed) == pytest.approx(energy.absorbed.value) and min(absorbed[:2]) > 0
     assert absorbed[2:] == [0.0] * 6 and abs(energy.imbalance) < 1e-12
     assert found.values.shape == (1, 2, 10) and energy.T.value > energy.R.value > 0
+    assert (found.T == found.values[:, 1]).all() and (found.T_error == found.errors[:, 1]).all()
+    for several in (list(stack), np.array(stack)):  # A list is of several media.
+        with pytest.raises(dipole.ArgumentError, match="one Stack"):
+            client.mc(several, EDGES)

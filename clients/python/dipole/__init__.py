@@ -36,7 +36,7 @@ from .rings import RingMeans
 from .surface import Coefficients, Surface
 from .table import Table, TableErrors
 from .values import Choice, Draw, Errors, Fits, Gathered, Grid, Info, Inversion, McEnergy, McProgress, McResult
-from .values import McValue, Medium, Offer, Offers, Query, Result, Samples, Varying
+from .values import McValue, Medium, Offer, Offers, Query, Result, Samples, Stack, Varying
 
 __version__ = "0.1.0"  # the version of the whole project, as in the Makefile
 
@@ -49,7 +49,7 @@ __all__ = [
     "Inversion",
     "McEnergy", "McProgress", "McResult", "McValue", "Medium", "Offer", "Offers", "Parts", "Points",
     "LibraryError", "ProtocolError",
-    "Query", "Refused", "Result", "RingMeans", "Samples", "Surface", "Table",
+    "Query", "Refused", "Result", "RingMeans", "Samples", "Stack", "Surface", "Table",
     "TableError",
     "TableErrors", "Tls", "Values", "Varying", "gather_at_home",
 ]

@@ -19,7 +19,7 @@ from .connection import Connection, Tls
 from .errors import ArgumentError, ConnectionLost
 from .opening import Opening
 from .session import Session, Waiting
-from .values import Info, Query, Result
+from .values import Info, Query, Result, refuse_unknown
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -32,6 +32,7 @@ def _method(
     signature = calls.signature_of(call)
 
     async def method(self: AsyncClient, *arguments: Any, **options: Any) -> T:
+        refuse_unknown(options, signature.parameters)
         signature.bind(self, *arguments, **options)
         return await call(self._opened(), *arguments, **options)
 

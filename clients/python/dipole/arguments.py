@@ -10,7 +10,7 @@ import numpy as np
 
 from . import wire
 from .errors import ArgumentError, ProtocolError
-from .values import Array, Info, Media, Medium
+from .values import Array, Info, Media, Medium, Stack
 
 T = TypeVar("T")
 
@@ -65,11 +65,11 @@ def media_array(media: Media) -> Array:
             "which broadcasts them"
         )
     requested = (
-        "media: dipole.Medium(sigma_a, sigma_s, g, eta, thickness), or several, or lists of as many "
-        "layers each, or an array [C, 4] or [C, 5]"
+        "media: dipole.Medium(sigma_a, sigma_s, g, eta, thickness), dipole.Stack(medium, ...), or a "
+        "list of several of one kind, with as many layers each, or an array [C, 4] or [C, 5]"
     )
     try:
-        array: Array = np.asarray(_full(media), "<f8")
+        array: Array = np.asarray(_full([media] if isinstance(media, Stack) else media), "<f8")
     except (TypeError, ValueError) as error:
         raise ArgumentError(f"{requested}: {error}") from error
     if array.ndim == 1:
@@ -82,17 +82,14 @@ def media_array(media: Media) -> Array:
 
 
 def layers_of(media: Media) -> Array:
-    """Makes an array [L, 5] of an argument that may be only one medium: a Medium, or a list of its
-    layers."""
+    """Makes an array [L, 5] of an argument that may be only one medium: a Medium or a Stack."""
     if isinstance(media, (tuple, list)) and 2 <= len(media) <= 5 and np.isscalar(media[0]):
         media = Medium(*media)
     array = media_array(media)
-    if array.shape[1] == 1 and isinstance(media, (list, np.ndarray)):
-        array = array.reshape(1, -1, 5)
     if len(array) != 1:
         raise ArgumentError(
-            f"medium: one Medium, not {len(array)}. Of a measured medium, take one channel: "
-            'client.media()["skin1"][0] is red'
+            f"medium: one Medium or one Stack(medium, ...) of layers, not {len(array)} media. Of a "
+            'named medium, take one channel: client.media()["skin1"][0] is red'
         )
     layers: Array = array[0]
     return layers

@@ -15,7 +15,7 @@ from .arguments import media_array
 from .session import Session
 from .errors import ArgumentError
 from .exchange import Request
-from .values import Array, EvaluatorOptions, Info, Media, Query, Result, counted, in_short, span
+from .values import Array, EvaluatorOptions, Info, Media, Query, Result, Stack, counted, in_short, span
 
 # Number of queries that wait for replies at a time: enough to keep the daemon busy all the time.
 OUTSTANDING = 64
@@ -122,7 +122,12 @@ def _plan(info: Info, media: Media, r: Any) -> tuple[tuple[int, ...], Iterator[P
 def _first_axis(media: Media, r: Any) -> Array:
     """Gives media [C, 5] as many axes that each of them meets each of the radii."""
     array = media_array(media)
+    if array.shape[1] > 1:
+        raise ArgumentError(_NO_LAYERS)
     return array.reshape(len(array), *(1,) * np.ndim(r), 5)
+
+
+_NO_LAYERS = "media: values() takes no layers: call eval()"
 
 
 # ---- what is requested ---------------------------------------------------------------------------
@@ -139,6 +144,8 @@ class Places(NamedTuple):
 
 def _media(media: Media) -> _Media:
     form = "media: a Medium, whose fields may be arrays, or an array [..., 4] or [..., 5]"
+    if isinstance(media, Stack):
+        raise ArgumentError(_NO_LAYERS)
     try:
         if isinstance(media, tuple) and not isinstance(media[0], tuple):
             fields = [np.asarray(field, np.float64) for field in media]

@@ -80,7 +80,7 @@ def _described(method: F, text: str | None, signature: inspect.Signature) -> F:
 
 
 async def media(session: Session) -> MeasuredMedia:
-    """Returns the daemon's measured media by name, each with three channels: red, green, blue."""
+    """Returns the media that the daemon knows by name, each with three channels: red, green, blue."""
     return await session.media()
 
 

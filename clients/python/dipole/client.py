@@ -16,7 +16,7 @@ from .connection import Frame, Tls
 from .errors import ArgumentError
 from .opening import Opening
 from .session import Session, Waiting, run
-from .values import Info, Query, Result
+from .values import Info, Query, Result, refuse_unknown
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -29,6 +29,7 @@ def _method(
     signature = calls.signature_of(call)
 
     def method(self: Client, *arguments: Any, **options: Any) -> T:
+        refuse_unknown(options, signature.parameters)
         signature.bind(self, *arguments, **options)
         return run(call(self._session, *arguments, **options))
 

@@ -186,7 +186,7 @@ async def table(
     process, with the daemon's bits. options: moments, parameters, deadline_ms and tolerance
     (relative, at least 1e-6, by default 1e-4), as of a Query."""
     medium = await session.media_of(medium)
-    query = Query(model, layers_of(medium), **options)
+    query = Query(model, medium, **options)
     return await _table(session, query, lambda data: Table(data, session.info))
 
 

@@ -47,7 +47,7 @@ async def mc(
 ) -> McResult:
     """Runs a Monte Carlo job on the daemon and waits for its result.
 
-    edges: the edges of the rings; n edges make n - 1 rings. progress: is called a few times a
+    medium: one Medium, or one Stack of layers. edges: the edges of the rings; n edges make n - 1 rings. progress: is called a few times a
     second. If it returns False, the job is cancelled, and the result holds the photons walked
     so far. If it raises an exception, such as KeyboardInterrupt, the job is cancelled too.
     options: photons: how many to walk. The default is a million, or the daemon's limit if an

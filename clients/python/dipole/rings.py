@@ -98,7 +98,7 @@ async def ring_means(
 def _cut(edges: Array, media: Array) -> tuple[Array, Array, Array]:
     """Cuts rings into parts. Returns their inner edges, their outer edges and their rings. That of
     a disc at the centre is at most a thousandth of a mean free path wide."""
-    sigma_t = max(float(media[:, :2].sum(axis=1).max(initial=0)), 1e-300)
+    sigma_t = max(float(media[:, :, :2].sum(axis=2).max(initial=0)), 1e-300)
     low, high, ring = [], [], []
     for i, (a, b) in enumerate(zip(edges, edges[1:])):
         least = a or min(b * 2.0**-16, 1e-3 / sigma_t)

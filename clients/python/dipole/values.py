@@ -48,7 +48,7 @@ def whole(number: Any) -> Any:
 
 
 class Medium(NamedTuple):
-    """A half space, a slab or a layer. Its fields are numbers; for Client.values(), they may be arrays
+    """A half space, a slab or a layer of a Stack. Its fields are numbers; for Client.values(), they may be arrays
     that broadcast against each other."""
 
     sigma_a: Any  # 1/mm: absorption coefficient, 0 to 1e15
@@ -58,10 +58,30 @@ class Medium(NamedTuple):
     thickness: Any = 0.0  # mm: 0 is a half space
 
 
-# A medium of several layers is a list of Medium from the top down.
-Media = Union[Medium, str, Iterable[Union[Sequence[float], Sequence[Sequence[float]]]], Array]
+class Stack(tuple[Medium, ...]):
+    """A medium of up to 8 layers: Stack(epidermis, dermis), from the top down. Each but the last has a
+    thickness. It may stand wherever one Medium may, in a list of media, too."""
+
+    def __new__(cls, *layers: Medium) -> Stack:
+        return super().__new__(cls, layers)  # type: ignore[arg-type]  # mypy, of any tuple
+
+    def __repr__(self) -> str:
+        return f"Stack{super().__repr__()}"
+
+
+Media = Union[Medium, Stack, str, Iterable[Union[Sequence[float], Stack]], Array]
 # media by name, each with the channels red, green and blue
 MeasuredMedia = dict[str, tuple[Medium, ...]]
+
+
+def refuse_unknown(options: Iterable[str], known: Iterable[str]) -> None:
+    """Refuses options that a call does not have."""
+    for name in options:
+        if name not in known:
+            raise TypeError(
+                f"{name}: no option of this call; a number that a model takes belongs in "
+                f'parameters={{"{name}": ...}}'
+            )
 
 
 class Grid(NamedTuple):
@@ -84,9 +104,9 @@ class Query:
         largest radius. The time to prepare a medium counts, so that few radii may get another
         evaluator than many. The result names both. The daemon refuses the query if no evaluator
         is accurate enough.
-    media: one Medium; several of them; an array [C, 4] of sigma_a, sigma_s, g and eta, or [C, 5] with
-        thickness; a list of media that are lists of as many layers each; or the name of a measured
-        medium, which stands for its red, green and blue channel.
+    media: one Medium; one Stack of layers; a list of several; an array [C, 4] of sigma_a, sigma_s, g
+        and eta, or [C, 5] with thickness, or [C, L, 5] of stacks of L layers; or the name of a medium
+        of media(), which stands for its red, green and blue channel.
     r: N radii in mm, from 0 to infinity. Only wanted=["albedo"] needs no radii.
     grid: the radii by a rule, in place of r. The request then lists no radii.
     evaluator: "f64" computes in double precision and "f32" in single precision. "lut" looks values
@@ -129,6 +149,7 @@ class Query:
         first = arguments[0] if arguments else options.get("model")
         if isinstance(first, Query) and len(arguments) + len(options) == 1:
             return first
+        refuse_unknown(options, cls.__dataclass_fields__)
         return cls(*arguments, **options)
 
 
@@ -649,3 +670,14 @@ class McResult:
     def R_error(self) -> Array:
         """The standard errors of the property R, [K, N] 1/mm^2."""
         return self.errors[:, 0]
+
+    @property
+    def T(self) -> Array:
+        """The profile of the light that leaves below a slab or the last layer: `values` of side 1,
+        [K, N] 1/mm^2. A half space has none: IndexError."""
+        return self.values[:, 1]
+
+    @property
+    def T_error(self) -> Array:
+        """The standard errors of the property T, [K, N] 1/mm^2."""
+        return self.errors[:, 1]
