@@ -332,6 +332,7 @@ typedef struct core_profile {
   /* The error of BY_SIGMA_A and BY_SIGMA_S: absolute, at radii within 0.9 of `reach`. */
   double derivative_error;
   double derivative_error_per_mm;
+  double derivative_errors[CORE_MODEL_ERROR_BANDS + 1]; /* further error in each band; the last is 0 */
   core_reach reach;
   double T_error; /* the same of T, relative, 0 where T is 0 */
   core_reach T_reach;
@@ -466,7 +467,8 @@ size_t core_profile_bytes(const core_profile *profile);
  *          albedo, R(infinity) 0. Its error is absolute: the numerical error times the albedo
  *   BY_SIGMA_A  d ln R / d ln sigma_a at fixed r, sigma_s, g and eta, if core_has_derivatives(); 1
  *   BY_SIGMA_S  d ln R / d ln sigma_s at fixed r, sigma_a, g and eta, which is also that by ln
- *          sigma_s'; 1. Both are 0 where ln R is -infinity, and at r = 0 they are the limit. Their
+ *          sigma_s'; 1. Both are 0 where ln R is -infinity, and at r = 0 they are the limit. Of
+ *          layers they are those by the coefficients of one, CORE_PARAMETER_DERIVATIVE_LAYER. Their
  *          error is absolute: derivative_error + derivative_error_per_mm r. The profile has to be
  *          prepared with CORE_PARAMETER_DERIVATIVES
  * The arrays need only their type's alignment and must not overlap. Values for radii that

@@ -153,7 +153,10 @@ enum { FOLLOWS_R = AT_RADII | CORE_QUANTITY_SLOPE };
 static double derivative_error(const core_profile *profile, core_radii_range radii) {
   const bool known =
       radii.least_mm > radii.most_mm || radii.most_mm <= NEAR_REACH * profile->reach.most_mm;
-  return known ? profile->derivative_error : (double)INFINITY;
+  return known ? profile->derivative_error + core_banded_error(profile->derivative_errors, 0,
+                                                               &profile->medium, CORE_QUANTITY_R,
+                                                               radii)
+               : (double)INFINITY;
 }
 
 /* Returns whether intermediate results of values close to the source may have underflowed. */

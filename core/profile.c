@@ -253,6 +253,8 @@ static void set_derivative_error(core_profile *profile, const core_preparation *
       own ? preparation->derivative_error : OWN_DERIVATIVE * profile->numerical_error;
   profile->derivative_error_per_mm =
       own ? preparation->derivative_error_per_mm : OWN_DERIVATIVE * profile->numerical_error_per_mm;
+  memcpy(profile->derivative_errors, preparation->derivative_added.banded,
+         sizeof profile->derivative_errors);
   if (rounds_derivatives(profile)) {
     round_derivatives(profile, fmax(preparation->error_epsilons_per_mm,
                                     2 * core_sigma_t_prime(&profile->medium)));
@@ -462,6 +464,7 @@ static core_fault prepare_table(core_profile *profile, const struct model *model
   const core_medium *medium = inputs.medium;
   profile->derivative_error = source->derivative_error;
   profile->derivative_error_per_mm = source->derivative_error_per_mm;
+  memcpy(profile->derivative_errors, source->derivative_errors, sizeof profile->derivative_errors);
   round_derivatives(profile,
                     2 * fmax(medium->eta, 1) * (medium->sigma_a_per_mm + medium->sigma_s_per_mm));
   return fault;

@@ -19,7 +19,7 @@
   (CLI_OF_MODELS &                                                                                 \
    ~(CLI_PARAMETER_BIT(COS_IN) | CLI_PARAMETER_BIT(COS_OUT) | CLI_PARAMETER_BIT(GAUSSIANS) |       \
      CLI_PARAMETER_BIT(FIT_MODEL) | CLI_PARAMETER_BIT(FIT_FROM) | CLI_PARAMETER_BIT(FIT_TO) |      \
-     CLI_PARAMETER_BIT(ETA_BELOW)))
+     CLI_PARAMETER_BIT(ETA_BELOW) | CLI_PARAMETER_BIT(DERIVATIVE_LAYER)))
 
 /* The options that describe the medium: the members of cli_profile from medium to thickness. */
 extern const cli_option cli_medium_options[];

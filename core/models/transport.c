@@ -18,7 +18,10 @@
  *   d ln R / d ln sigma_s = a (2 + d ln R / d ln x) - d ln R / d ln rho,
  *
  * with the albedo a = 1 / (1 + rho) of scattering. If they are requested, the derivative of L by ln
- * rho is a second series: a central difference of two more media of the table or of the solver.
+ * rho is a second series: a central difference of two more media of the table or of the solver. Of
+ * layers there are two more series, d ln R by ln sigma_a and by ln sigma_s of one layer, which are
+ * central differences of four more solutions. They are computed on two grids, and the error is a
+ * multiple of what these differ by, by bands of radii.
  *
  * Domain: g from -0.98 to 0.99, eta from 0.25 to 4, sigma_a up to 1000 sigma_s', and media that
  * scatter nothing. Below FIRST mean free paths R is continued in proportion to 1 / x. The last radius
@@ -58,12 +61,18 @@ enum coefficient {
   STEEPER = PER_PANEL + SEGMENTS,
   /* FADING: ln R falls by FADING (1 - (LAST_X / x)^2) / 2 more than a dipole's diffusion */
   FADING,
-  ABSORBED,       /* 1 - a */
-  KAPPA_BY_RATIO, /* derivative of kappa by ln rho */
-  BY_RATIO, /* position of the series of dL / d ln rho, TERMS for each panel; 0 if there is none */
-  ENERGY,   /* position of the table of the energy */
-  BELOW,    /* position of the same coefficients of T, without the energy; 0: T is 0 */
-  SERIES,   /* TERMS coefficients of L for each panel */
+  /* d ln R / d ln sigma is a factor times (2 + d ln R / d ln x) plus another times a series: */
+  SCALE_OF_A,      /* 1 - a, or 0 of layers */
+  SCALE_OF_S,      /* a, or 0 of layers */
+  SIGN_OF_S,       /* factor of the series for sigma_s: -1, or 1 of layers */
+  KAPPA_BY_SERIES, /* what kappa contributes to the series: its derivative by ln rho; 0 of layers */
+  /* positions of the series for sigma_a and for sigma_s, TERMS for each panel: both dL / d ln rho, or
+   * of layers dL / d ln sigma; 0 if there are none */
+  BY_SIGMA_A,
+  BY_SIGMA_S,
+  ENERGY, /* position of the table of the energy */
+  BELOW,  /* position of the same coefficients of T, without the energy; 0: T is 0 */
+  SERIES, /* TERMS coefficients of L for each panel */
 };
 
 enum { TERMS = 16 };
@@ -189,23 +198,24 @@ static inline double by_scale(const double *c, struct profile p) {
   return 1 + p.slope - c[KAPPA] * p.x;
 }
 
-/* Returns d ln R / d ln rho, with rho = sigma_a / sigma_s'. */
-static inline double by_ratio(const double *c, struct profile p) {
-  const double *series = &c[(size_t)c[BY_RATIO] + (size_t)p.panel * TERMS];
+/* Returns the derivative of ln R whose series is at this position. */
+static inline double by_series(const double *c, double position, struct profile p) {
+  const double *series = &c[(size_t)position + (size_t)p.panel * TERMS];
   const double last = c[LAST_X], beyond = real_max(p.x, last);
   const double moved = beyond / (1 + c[KAPPA] * beyond) - last / (1 + c[KAPPA] * last);
-  return sum_series(series, p.s).value + c[KAPPA_BY_RATIO] * (moved - p.x);
+  return sum_series(series, p.s).value + c[KAPPA_BY_SERIES] * (moved - p.x);
 }
 
 static inline double transport_by_sigma_a(const double *c, double r) {
   const struct profile p = look(c, r);
-  const double by = real_fma(c[ABSORBED], by_scale(c, p), by_ratio(c, p));
+  const double by = real_fma(c[SCALE_OF_A], by_scale(c, p), by_series(c, c[BY_SIGMA_A], p));
   return c[LIMIT] > 0 && p.far > 0 ? by : 0;
 }
 
 static inline double transport_by_sigma_s(const double *c, double r) {
   const struct profile p = look(c, r);
-  const double by = real_fma(1 - c[ABSORBED], by_scale(c, p), -by_ratio(c, p));
+  const double series = c[SIGN_OF_S] * by_series(c, c[BY_SIGMA_S], p);
+  const double by = real_fma(c[SCALE_OF_S], by_scale(c, p), series);
   return c[LIMIT] > 0 && p.far > 0 ? by : 0;
 }
 
@@ -320,9 +330,6 @@ static core_fault check_layers(const core_inputs *inputs) {
     }
     fault.index = i;
   }
-  if (fault.field == NULL && wants_derivatives(inputs)) {
-    fault = (core_fault){"wanted", "no derivatives of layers", 0};
-  }
   if (fault.field == NULL && !isnan(inputs->parameters->value[CORE_PARAMETER_GAMMA])) {
     fault = (core_fault){"gamma", "nothing with layers: it is of one half space", 0};
   }
@@ -337,6 +344,10 @@ core_fault core_transport_check(const core_inputs *inputs, core_radii_range *rad
   }
   if (core_parameter_or(inputs, CORE_PARAMETER_TOLERANCE, 1) < CORE_TOLERANCE_FINEST) {
     return (core_fault){"tolerance", "1e-8 to 1 with transport", 0};
+  }
+  const double layer = core_parameter_or(inputs, CORE_PARAMETER_DERIVATIVE_LAYER, 1);
+  if (layer > inputs->parameters->layer_count || layer > floor(layer)) {
+    return (core_fault){"derivative_layer", "an integer, 1 to the number of layers", 0};
   }
   if (is_layered(inputs)) {
     return check_layers(inputs);
@@ -675,26 +686,26 @@ static void set_series(const struct panels *panels, double kappa, double *c) {
   c[FADING] = panels->fades ? more : 0;
 }
 
-/* The derivative by ln rho: that of kappa, and that of L at the points of the panels. */
-struct by_ratio {
+/* The derivative by ln rho, or of layers by ln sigma: that of kappa, and that of L at the points of
+ * the panels. */
+struct derivative {
   double kappa;
   double L[PANELS_MAX][TERMS];
 };
 
 /* Makes the table of a profile that scatters and adds it to the preparation, whose albedo has been
- * set. by_ratio: NULL if no derivatives are wanted. scaled: R has to have the albedo for its
- * energy. */
+ * set. derivatives: none, the one by ln rho, or those by ln sigma_a and by ln sigma_s. scaled: R has
+ * to have the albedo for its energy. */
 static core_fault fill_table(const core_inputs *inputs, const core_medium *medium,
-                             const struct panels *panels, double kappa,
-                             const struct by_ratio *by_ratio, bool scaled,
-                             core_preparation *preparation) {
+                             const struct panels *panels, double kappa, const struct derivative *by,
+                             size_t derivatives, bool scaled, core_preparation *preparation) {
   const double sigma_t_prime = core_sigma_t_prime(medium), mfp_mm = 1 / sigma_t_prime;
   const double first = ENERGY_FIRST;
   /* Less than 1e-12 of the energy lies beyond 40 decay lengths 1 / kappa, or beyond 1e12 mean free
    * paths. */
   const double energy_last = kappa * 1e12 > 40 ? fmax(40 / kappa, last_of(panels)) : 1e12;
-  const size_t length = panels->count * TERMS, both = by_ratio != NULL ? 2 * length : length;
-  const size_t before_energy = SERIES + both;
+  const size_t length = panels->count * TERMS;
+  const size_t before_energy = SERIES + length + derivatives * length;
   preparation->table_bytes =
       (before_energy + core_energy_length(first * mfp_mm, energy_last * mfp_mm)) * sizeof(double);
   double *c = malloc(preparation->table_bytes);
@@ -703,11 +714,17 @@ static core_fault fill_table(const core_inputs *inputs, const core_medium *mediu
   }
   set_scales(c, sigma_t_prime, 1);
   set_series(panels, kappa, c);
-  c[ABSORBED] = absorbed_of(medium);
-  c[KAPPA_BY_RATIO] = by_ratio != NULL ? by_ratio->kappa : 0;
-  c[BY_RATIO] = by_ratio != NULL ? (double)(SERIES + length) : 0;
-  for (size_t i = 0; i < panels->count && by_ratio != NULL; i++) {
-    fit_values(by_ratio->L[i], &c[SERIES + length + i * TERMS]);
+  const bool by_ratio = derivatives < 2;
+  c[SCALE_OF_A] = by_ratio ? absorbed_of(medium) : 0;
+  c[SCALE_OF_S] = by_ratio ? 1 - absorbed_of(medium) : 0;
+  c[SIGN_OF_S] = by_ratio ? -1 : 1;
+  c[KAPPA_BY_SERIES] = derivatives > 0 ? by->kappa : 0;
+  c[BY_SIGMA_A] = derivatives > 0 ? (double)(SERIES + length) : 0;
+  c[BY_SIGMA_S] = derivatives > 0 ? (double)(SERIES + derivatives * length) : 0;
+  for (size_t k = 0; k < derivatives; k++) {
+    for (size_t i = 0; i < panels->count; i++) {
+      fit_values(by[k].L[i], &c[SERIES + (1 + k) * length + i * TERMS]);
+    }
   }
   c[ENERGY] = (double)before_energy;
   c[BELOW] = 0;
@@ -734,7 +751,8 @@ static core_fault fill_nothing(double sigma_t_prime, core_preparation *preparati
   c[PANELS] = 1;
   c[FIRST_X] = FIRST;
   c[LAST_X] = LAST;
-  c[BY_RATIO] = SERIES + TERMS;
+  c[BY_SIGMA_A] = SERIES + TERMS;
+  c[BY_SIGMA_S] = SERIES + TERMS;
   c[ENERGY] = SERIES + 2 * TERMS;
   double *energy = &c[SERIES + 2 * TERMS];
   energy[CORE_ENERGY_PANELS] = 1;
@@ -759,15 +777,15 @@ static core_medium neighbour_of(const core_medium *medium, double step) {
   return other;
 }
 
-/* Adds weight times kappa and L of a neighbouring medium to the derivatives by ln rho. */
+/* Adds weight times kappa and L of a neighbouring medium to the derivative. */
 static void add_neighbour(const struct source *source, const struct panels *panels, double weight,
-                          struct by_ratio *by_ratio) {
+                          struct derivative *by) {
   double L[TERMS], error[TERMS], R[TERMS];
-  by_ratio->kappa += weight * source->kappa;
+  by->kappa += weight * source->kappa;
   for (size_t i = 0; i < panels->count; i++) {
     look_at(source, panels->y[i], L, error, R);
     for (int k = 0; k < TERMS; k++) {
-      by_ratio->L[i][k] += weight * L[k];
+      by->L[i][k] += weight * L[k];
     }
   }
 }
@@ -807,10 +825,10 @@ static double albedo_of_series(const core_medium *medium, const transport_series
   return held.total / (held.total + (1 - held.total) * root);
 }
 
-/* Sets *by_ratio by a difference between two media of the table. */
+/* Sets *by by a difference between two media of the table. */
 static void differentiate_table(const core_medium *medium, const struct panels *panels,
-                                struct by_ratio *by_ratio) {
-  *by_ratio = (struct by_ratio){0};
+                                struct derivative *by) {
+  *by = (struct derivative){0};
   const core_medium above = neighbour_of(medium, LN_RATIO_STEP);
   const double above_step = is_stored(&above) ? LN_RATIO_STEP : 0;
   for (int i = 0; i < 2 && medium->sigma_a_per_mm > 0; i++) {
@@ -818,7 +836,7 @@ static void differentiate_table(const core_medium *medium, const struct panels *
     transport_series series;
     struct source source;
     look_up(&other, &series, &source);
-    add_neighbour(&source, panels, (i == 0 ? -1 : 1) / (above_step + LN_RATIO_STEP), by_ratio);
+    add_neighbour(&source, panels, (i == 0 ? -1 : 1) / (above_step + LN_RATIO_STEP), by);
   }
 }
 
@@ -852,7 +870,7 @@ static core_fault prepare_stored(const core_inputs *inputs, const core_medium *m
     return (core_fault){0};
   }
   struct panels panels = {.joined = true};
-  struct by_ratio by_ratio;
+  struct derivative by_ratio;
   lay_panels(&panels, isotropic ? series.edge : series.difference.edge,
              series.edge[TRANSPORT_TABLE_PANELS]);
   panels.fades = last_of(&panels) > 0.4 * LAST;
@@ -863,8 +881,8 @@ static core_fault prepare_stored(const core_inputs *inputs, const core_medium *m
   if (derivatives) {
     differentiate_table(medium, &panels, &by_ratio);
   }
-  return fill_table(inputs, medium, &panels, source.kappa, derivatives ? &by_ratio : NULL,
-                    !isotropic, preparation);
+  return fill_table(inputs, medium, &panels, source.kappa, &by_ratio, derivatives, !isotropic,
+                    preparation);
 }
 
 /* ---- by the solver ---------------------------------------------------------------------------- */
@@ -937,11 +955,11 @@ static void lay_panels_solved(const struct source *source, double end, struct pa
   }
 }
 
-/* Sets *by_ratio by a difference between two solutions on the same grid. */
+/* Sets *by by a difference between two solutions on the same grid. */
 static core_fault differentiate_solved(const core_inputs *inputs, const core_medium *medium,
-                                       const struct panels *panels, struct by_ratio *by_ratio) {
+                                       const struct panels *panels, struct derivative *by) {
   core_fault fault = {0};
-  *by_ratio = (struct by_ratio){0};
+  *by = (struct derivative){0};
   const solver_phase phase = {.g = medium->g};
   /* Beyond RATIO_MOST nothing is solved. */
   const double above = ratio_of(medium) > 0.9 * RATIO_MOST ? 0 : LN_RATIO_STEP_SOLVED;
@@ -956,7 +974,7 @@ static core_fault differentiate_solved(const core_inputs *inputs, const core_med
     if (fault.field == NULL) {
       const struct source source = {
           .medium = &other, .solution = solution, .kappa = kappa_of(&other)};
-      add_neighbour(&source, panels, (i == 0 ? -1 : 1) / (above + LN_RATIO_STEP_SOLVED), by_ratio);
+      add_neighbour(&source, panels, (i == 0 ? -1 : 1) / (above + LN_RATIO_STEP_SOLVED), by);
     }
     solver_free(solution);
   }
@@ -1004,7 +1022,7 @@ static core_fault prepare_solved(const core_inputs *inputs, const core_medium *m
   solver_solution *solution;
   struct source source = {.medium = medium, .kappa = kappa_of(medium)};
   struct panels panels = {.joined = false};
-  struct by_ratio by_ratio;
+  struct derivative by_ratio;
   fault = solver_solve_until(&solution, inputs->isa, ratio_of(medium), &phase, medium->eta,
                              tolerance, inputs->stop);
   if (fault.field == NULL) {
@@ -1017,7 +1035,7 @@ static core_fault prepare_solved(const core_inputs *inputs, const core_medium *m
     return fault;
   }
   set_errors(&source, &panels, preparation);
-  return fill_table(inputs, medium, &panels, source.kappa, derivatives ? &by_ratio : NULL, false,
+  return fill_table(inputs, medium, &panels, source.kappa, &by_ratio, derivatives, false,
                     preparation);
 }
 
@@ -1069,18 +1087,74 @@ static void extend_errors(const struct source *source, double end, core_added_er
   }
 }
 
-static core_fault solve_layers(const core_inputs *inputs, double tolerance,
-                               solver_layers **solution) {
-  solver_layer layer[CORE_LAYERS_MAX];
-  const uint32_t count = inputs->parameters->layer_count;
-  for (uint32_t i = 0; i < count; i++) {
+static void take_layers(const core_inputs *inputs, solver_layer layer[CORE_LAYERS_MAX]) {
+  for (uint32_t i = 0; i < inputs->parameters->layer_count; i++) {
     const core_medium *from = &inputs->medium[i];
     layer[i] = (solver_layer){from->sigma_a_per_mm, from->sigma_s_per_mm, from->g, from->eta,
                               from->thickness_mm > 0 ? from->thickness_mm : (double)INFINITY};
   }
-  return solver_layers_solve(solution, inputs->isa, layer, count,
-                             core_parameter_or(inputs, CORE_PARAMETER_ETA_BELOW, 1), tolerance,
-                             inputs->stop);
+}
+
+static double eta_below_of(const core_inputs *inputs) {
+  return core_parameter_or(inputs, CORE_PARAMETER_ETA_BELOW, 1);
+}
+
+/* Adds what a difference of two solutions by ln sigma_a, or ln sigma_s, of one layer contributes to its
+ * derivative. */
+static core_fault differ_layers(const core_inputs *inputs, const struct source *source,
+                                const struct panels *panels, bool of_s, size_t level,
+                                struct derivative *by) {
+  const size_t at = (size_t)core_parameter_or(inputs, CORE_PARAMETER_DERIVATIVE_LAYER, 1) - 1;
+  solver_layer layer[CORE_LAYERS_MAX];
+  take_layers(inputs, layer);
+  double *sigma = of_s ? &layer[at].sigma_s_per_mm : &layer[at].sigma_a_per_mm;
+  const double middle = *sigma;
+  core_fault fault = {0};
+  for (int i = 0; i < 2 && middle > 0 && fault.field == NULL; i++) {
+    const double sign = i == 0 ? -1 : 1;
+    struct source neighbour = *source;
+    solver_layers *solution;
+    *sigma = middle * real_exp_signed(sign * LN_RATIO_STEP_SOLVED);
+    fault =
+        solver_layers_solve_level(&solution, inputs->isa, layer, inputs->parameters->layer_count,
+                                  eta_below_of(inputs), level, inputs->stop);
+    if (fault.field == NULL) {
+      neighbour.layers = solution;
+      add_neighbour(&neighbour, panels, sign / (2 * LN_RATIO_STEP_SOLVED), by);
+    }
+    solver_layers_free(solution);
+  }
+  return fault;
+}
+
+/* The solver's coarser grid for differences of layers, for tolerances below FINE and from there on. The
+ * other one is the next. */
+#define FINE 3e-3
+enum { LAYERS_LEVEL_FINE = 1, LAYERS_LEVEL = 0 };
+
+/* Sets by[] to the derivatives by ln sigma_a and by ln sigma_s of one layer, with their errors. */
+static core_fault differentiate_layers(const core_inputs *inputs, const struct source *source,
+                                       const struct panels *panels, double tolerance,
+                                       struct derivative by[2], core_preparation *preparation) {
+  const size_t level = tolerance < FINE ? LAYERS_LEVEL_FINE : LAYERS_LEVEL;
+  core_fault fault = {0};
+  for (int of_s = 0; of_s < 2 && fault.field == NULL; of_s++) {
+    struct derivative coarse = {0};
+    by[of_s] = coarse;
+    fault = differ_layers(inputs, source, panels, of_s, level, &coarse);
+    if (fault.field == NULL) {
+      fault = differ_layers(inputs, source, panels, of_s, level + 1, &by[of_s]);
+    }
+    for (size_t i = 0; i < panels->count * TERMS; i++) {
+      const double apart = by[of_s].L[i / TERMS][i % TERMS] - coarse.L[i / TERMS][i % TERMS];
+      enter_error(DERIVATIVE * fabs(apart), real_exp_signed(panels->y[i / TERMS][i % TERMS]),
+                  &preparation->derivative_added);
+    }
+  }
+  preparation->derivative_error = DIFFERENCE_ERROR;
+  preparation->derivative_error_per_mm =
+      DIFFERENCE_ERROR * source->kappa * core_sigma_t_prime(source->medium);
+  return fault;
 }
 
 /* Adds T to a profile of layers. */
@@ -1124,13 +1198,18 @@ static core_fault prepare_layers(const core_inputs *inputs, double tolerance,
                                  core_preparation *preparation) {
   solver_layers *solution;
   solver_balance balance;
-  core_fault fault = solve_layers(inputs, tolerance, &solution);
+  solver_layer layer[CORE_LAYERS_MAX];
+  take_layers(inputs, layer);
+  core_fault fault =
+      solver_layers_solve(&solution, inputs->isa, layer, inputs->parameters->layer_count,
+                          eta_below_of(inputs), tolerance, inputs->stop);
   if (fault.field == NULL) {
     fault = solver_layers_balance(solution, inputs->isa, &balance);
   }
   if (fault.field == NULL) {
     struct source source = {.medium = inputs->medium, .layers = solution};
     struct panels panels = {.joined = false};
+    struct derivative by[2];
     const transport_number *total = &balance.out[source.side];
     double end, growth;
     if (!find_end_of_layers(&source, &end, &growth)) {
@@ -1144,7 +1223,13 @@ static core_fault prepare_layers(const core_inputs *inputs, double tolerance,
     preparation->added.banded[CORE_MODEL_ERROR_BANDS] = total->error / fmax(total->value, 1e-300);
     set_errors(&source, &panels, preparation);
     preparation->reach.growth = fmax(growth, preparation->reach.growth);
-    fault = fill_table(inputs, inputs->medium, &panels, source.kappa, NULL, false, preparation);
+    if (wants_derivatives(inputs)) {
+      fault = differentiate_layers(inputs, &source, &panels, tolerance, by, preparation);
+    }
+    if (fault.field == NULL) {
+      fault = fill_table(inputs, inputs->medium, &panels, source.kappa, by,
+                         wants_derivatives(inputs) ? 2 : 0, false, preparation);
+    }
     const core_medium *last = &inputs->medium[inputs->parameters->layer_count - 1];
     if (fault.field == NULL && last->thickness_mm > 0) {
       fault = add_below(&source, preparation);

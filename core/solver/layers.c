@@ -423,6 +423,41 @@ static void find_errors(solver_layers *of, double worst[SIDES]) {
   }
 }
 
+/* Returns a solution without grids; NULL if no memory is left. */
+static solver_layers *new_solution(const solver_layer *layer, size_t count, double eta_below) {
+  solver_layers *made = calloc(1, sizeof *made);
+  if (made != NULL) {
+    made->count = count;
+    memcpy(made->layer, layer, count * sizeof *layer);
+    made->eta_below = eta_below;
+    made->sides = isinf(layer[count - 1].thickness_mm) ? 1 : SOLVER_SIDES;
+    made->radius_mm = 1 / (layer[0].sigma_a_per_mm + layer[0].sigma_s_per_mm * (1 - layer[0].g));
+  }
+  return made;
+}
+
+/* Adds a finer grid; the one before stays beside it. */
+static bool add_grid(solver_layers *to, size_t level, const core_isa *isa,
+                     const atomic_bool *stop) {
+  free(to->grid[1]);
+  to->grid[1] = to->grid[0];
+  to->grid[0] = calloc(1, sizeof *to->grid[0]);
+  to->floor = levels[level].floor;
+  return to->grid[0] != NULL && solve_grid(to->grid[0], to, isa, &levels[level], stop);
+}
+
+/* Hands a solution over, or frees it where that was not found. */
+static core_fault solved_or_fault(solver_layers **solution, solver_layers *made, bool ok,
+                                  const atomic_bool *stop) {
+  if (!ok) {
+    solver_layers_free(made);
+    return solver_stops(stop) ? (core_fault){CORE_FIELD_STOPPED, "to be waited for", 0}
+                              : memory_fault;
+  }
+  *solution = made;
+  return no_fault;
+}
+
 core_fault solver_layers_solve(solver_layers **solution, const core_isa *isa,
                                const solver_layer *layer, size_t count, double eta_below,
                                double tolerance, const atomic_bool *stop) {
@@ -431,23 +466,12 @@ core_fault solver_layers_solve(solver_layers **solution, const core_isa *isa,
   if (fault.field != NULL) {
     return fault;
   }
-  solver_layers *made = calloc(1, sizeof *made);
+  solver_layers *made = new_solution(layer, count, eta_below);
   bool ok = made != NULL;
-  if (ok) {
-    made->count = count;
-    memcpy(made->layer, layer, count * sizeof *layer);
-    made->eta_below = eta_below;
-    made->sides = isinf(layer[count - 1].thickness_mm) ? 1 : SOLVER_SIDES;
-    made->radius_mm = 1 / (layer[0].sigma_a_per_mm + layer[0].sigma_s_per_mm * (1 - layer[0].g));
-  }
   const size_t first = tolerance < 3e-3 ? 2 : 0;
   bool hopes = true;
   for (size_t level = first; ok && hopes && level < LEVELS && level < first + GRIDS_MOST; level++) {
-    free(made->grid[1]);
-    made->grid[1] = made->grid[0];
-    made->grid[0] = calloc(1, sizeof *made->grid[0]);
-    ok = made->grid[0] != NULL && solve_grid(made->grid[0], made, isa, &levels[level], stop);
-    made->floor = levels[level].floor;
+    ok = add_grid(made, level, isa, stop);
     if (ok && level > first) {
       double worst[SIDES] = {0}, most = tolerance;
       find_errors(made, worst);
@@ -458,13 +482,20 @@ core_fault solver_layers_solve(solver_layers **solution, const core_isa *isa,
           (worst[0] > tolerance && worst[0] < most) || (worst[1] > tolerance && worst[1] < most);
     }
   }
-  if (!ok) {
-    solver_layers_free(made);
-    return solver_stops(stop) ? (core_fault){CORE_FIELD_STOPPED, "to be waited for", 0}
-                              : memory_fault;
+  return solved_or_fault(solution, made, ok, stop);
+}
+
+core_fault solver_layers_solve_level(solver_layers **solution, const core_isa *isa,
+                                     const solver_layer *layer, size_t count, double eta_below,
+                                     size_t level, const atomic_bool *stop) {
+  assert(level < LEVELS);
+  *solution = NULL;
+  const core_fault fault = check_layers(layer, count, eta_below, 0);
+  if (fault.field != NULL) {
+    return fault;
   }
-  *solution = made;
-  return no_fault;
+  solver_layers *made = new_solution(layer, count, eta_below);
+  return solved_or_fault(solution, made, made != NULL && add_grid(made, level, isa, stop), stop);
 }
 
 void solver_layers_free(solver_layers *solution) {

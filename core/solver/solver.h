@@ -140,6 +140,13 @@ typedef struct solver_layers solver_layers;
 core_fault solver_layers_solve(solver_layers **solution, const core_isa *isa,
                                const solver_layer *layer, size_t count, double eta_below,
                                double tolerance, const atomic_bool *stop);
+
+/* The same on the grid number `level` alone, from 0, the coarsest, to 5: without a second grid the
+ * errors of its values are not known. Solutions of nearly the same layers on one grid share its error,
+ * which their difference does not have. */
+core_fault solver_layers_solve_level(solver_layers **solution, const core_isa *isa,
+                                     const solver_layer *layer, size_t count, double eta_below,
+                                     size_t level, const atomic_bool *stop);
 void solver_layers_free(solver_layers *solution);
 
 /* Returns R (side 0) or T (side 1) at the radius r in mm, per mm^2 and per power that has entered,

@@ -1,11 +1,12 @@
 /* The derivatives of ln R by ln sigma_a and ln sigma_s of transport: against differences of solutions
- * for isotropic scattering, and at the ends of the domain. truth.c has those of the formulas, and of
+ * for isotropic scattering, of layers, and at the ends of the domain. truth.c has those of the formulas, and of
  * solutions with another g. */
 #include <float.h>
 #include <math.h>
 #include <string.h>
 
 #include "core/kernels.h"
+#include "core/solver/solver.h"
 #include "tests/accuracy/forms.h"
 #include "tests/accuracy/isotropic/isotropic.h"
 #include "tests/unit/unit.h"
@@ -104,6 +105,88 @@ UNIT_TEST(derivatives_of_transport_are_those_of_its_solutions) {
            profile.derivative_error, worst);
     core_profile_free(&profile);
   }
+}
+
+/* Prepares a stack with the derivatives of one layer, from 1 on. */
+static core_profile stack_of(const core_medium *layer, uint32_t count, double at) {
+  core_parameters parameters = core_parameters_none();
+  core_profile profile;
+  parameters.layer_count = count;
+  parameters.value[CORE_PARAMETER_TOLERANCE] = 1e-2;
+  parameters.value[CORE_PARAMETER_DERIVATIVE_LAYER] = at;
+  unit_assert_fault(prepare(&profile, CORE_MODEL_TRANSPORT, CORE_EVALUATOR_F64, layer, &parameters),
+                    NULL, 0);
+  return profile;
+}
+
+UNIT_TEST(derivatives_of_equal_layers_sum_to_those_of_their_half_space) {
+  static const core_medium layer[] = {{0.05, 10, 0.8, 1.4, 0.3}, {0.05, 10, 0.8, 1.4, 0}};
+  static const double radii[] = {1e-3, 0.01, 0.03, 0.1, 0.3, 1, 3, 10};
+  core_profile part[2];
+  for (int i = 0; i < 2; i++) {
+    part[i] = stack_of(layer, 2, i + 1);
+  }
+  core_profile whole = stack_of(&layer[1], 1, 1);
+  double worst = 0;
+  for (size_t k = 0; k < sizeof radii / sizeof *radii; k++) {
+    const double r = radii[k];
+    for (int q = 0; q < 2; q++) {
+      double sum = 0, error = stated(&whole, r);
+      for (int i = 0; i < 2; i++) {
+        sum += value_of(&part[i], both[q], r);
+        error += stated(&part[i], r);
+      }
+      const double off = fabs(sum - value_of(&whole, both[q], r));
+      worst = fmax(worst, off / error);
+      if (!(off <= error)) {
+        fail_msg("quantity %d at %g mm: off by %.3g, stated %.3g", q, r, off, error);
+      }
+    }
+    assert_true(r < 0.5 || stated(&part[0], r) < 5e-3);
+  }
+  printf("equal layers: %.3f of what is stated\n", worst);
+  for (int i = 0; i < 2; i++) {
+    core_profile_free(&part[i]);
+  }
+  core_profile_free(&whole);
+}
+
+/* R(r; sigma, d) = R(r / d; sigma d) / d^2, so that the derivatives by all sigma are 2 and those by ln
+ * r and by all ln d, which differences of finer solutions give. */
+UNIT_TEST(derivatives_of_layers_are_those_of_a_change_of_scale) {
+  static const core_medium skin[] = {{1.5, 20, 0.8, 1.4, 0.06}, {0.03, 15, 0.8, 1.4, 0}};
+  static const double radii[] = {0.05, 0.2, 1, 4, 8};
+  const double h = 0.02;
+  core_profile by_layer[] = {stack_of(skin, 2, 1), stack_of(skin, 2, 2)};
+  solver_layers *solution[3];
+  for (int i = 0; i < 3; i++) {
+    const solver_layer layer[] = {{1.5, 20, 0.8, 1.4, 0.06 * exp((i - 1) * h)},
+                                  {0.03, 15, 0.8, 1.4, INFINITY}};
+    unit_assert_fault(
+        solver_layers_solve_level(&solution[i], core_isa_select(NULL), layer, 2, 1, 3, NULL), NULL,
+        0);
+  }
+  for (size_t k = 0; k < sizeof radii / sizeof *radii; k++) {
+    const double r = radii[k];
+    double sum = 0, error = 0;
+    for (int i = 0; i < 4; i++) {
+      sum += value_of(&by_layer[i / 2], both[i % 2], r);
+      error += stated(&by_layer[i / 2], r);
+    }
+    const double R[] = {solver_layers_at(solution[0], 0, r).value,
+                        solver_layers_at(solution[2], 0, r).value,
+                        solver_layers_at(solution[1], 0, r * exp(-h)).value,
+                        solver_layers_at(solution[1], 0, r * exp(h)).value};
+    const double expected = 2 + (log(R[1] / R[0]) + log(R[3] / R[2])) / (2 * h);
+    if (!(fabs(sum - expected) <= error)) {
+      fail_msg("%g mm: %.6g, not %.6g +- %.2g", r, sum, expected, error);
+    }
+  }
+  for (int i = 0; i < 3; i++) {
+    solver_layers_free(solution[i]);
+  }
+  core_profile_free(&by_layer[0]);
+  core_profile_free(&by_layer[1]);
 }
 
 /* In single precision a model that prepares slowly is prepared in the same way, for the long form. */

@@ -68,6 +68,7 @@ parameters,phase_g,1: of mc with phase two-term: mean cosine of the second HG (-
 parameters,gamma,"1: (1 - g_2) / (1 - g) of the phase function, with transport; else 1 + g (0.5 to 1.95)"
 parameters,detector_na,"1: of fit with transport, and of mc: sine of the largest detected exit angle; else 1 (0.01 to 1)"
 parameters,eta_below,"1: with transport: index below a last layer of finite thickness; else 1 (0.25 to 4)"
+parameters,derivative_layer,"1: with transport: number of the layer of dlnR_dln_*, an integer; else 1, the top one (1 to 8)"
 limits,max_frame_bytes,67108864
 
 $ dipole info | head -9 | grep -v 'instruction_set\|protocol'

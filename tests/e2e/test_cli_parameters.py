@@ -25,6 +25,7 @@ def some_parameters(model: str) -> dict[str, float]:
     apart = ("fit_", "tolerance") if "gaussians" in takes(model) else ()
     given = {name: some_value(name) for name in takes(model) if not name.startswith(apart)}
     given.pop("eta_below", None)  # of slabs alone
+    given.pop("derivative_layer", None)  # of several layers
     return given | {"cos_in": 0.75}
 
 

@@ -82,3 +82,18 @@ def test_layers_are_from_the_top_down(client):
     over = client.eval("transport", [[(*SKIN, 0.5), (*dark, 0.0)]], r, parameters=quick)
     shares = (over.R / whole.R)[0]
     assert shares[0] > 0.75 and shares[2] < 0.2
+
+
+def test_derivatives_are_by_the_coefficients_of_one_layer(client):
+    """Those of equal layers sum to those of their half space, which the table has."""
+    r, names = [0.3, 1.0, 3.0], ["dlnR_dln_sigma_a", "dlnR_dln_sigma_s"]
+    whole = client.eval("transport", SKIN, r, wanted=names)
+    cut = [
+        client.eval("transport", [[(*SKIN, 0.7), (*SKIN, 0.0)]], r, wanted=names,
+                    parameters={"tolerance": 0.1, "derivative_layer": layer})
+        for layer in (1, 2)
+    ]  # fmt: skip
+    for name in names:
+        errors = sum(one.numerical_error(quantity=name) for one in (whole, *cut))
+        sums = cut[0].values[name] + cut[1].values[name]
+        assert (abs(sums - whole.values[name]) < errors).all() and errors.max() < 0.1
