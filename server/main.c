@@ -47,7 +47,7 @@ struct daemon {
 
 /* ---- stopping -------------------------------------------------------------------------------- */
 
-/* Says how many clients the drain timeout has left without a complete answer. */
+/* Says how many clients the drain timeout has left without a complete reply. */
 static void log_abandoned(const struct server *server, uint64_t workers) {
   unsigned count = 0;
   for (uint64_t i = 0; i < workers; i++) {
@@ -74,7 +74,7 @@ static void stop_daemon(struct daemon *daemon, int signal_number) {
                                        : "SIGTERM");
   }
   if (daemon->server.options.fd == NULL) {
-    systemd_tell("STOPPING=1\nSTATUS=Answering what is in flight.");
+    systemd_tell("STOPPING=1\nSTATUS=Serving what is in flight.");
   }
   for (size_t i = 0; i < daemon->listener_count; i++) {
     listener_close(&daemon->listeners[i]);
@@ -99,7 +99,7 @@ static void stop_daemon(struct daemon *daemon, int signal_number) {
   if (lost > 0) {
     log_line(LOG_LEVEL_ERROR, "event=fault lost_wakeups=%llu", (unsigned long long)lost);
   }
-  metrics_close(daemon->metrics); /* It has answered until now, so that a drain can be watched. */
+  metrics_close(daemon->metrics); /* It has served until now, so that a drain can be watched. */
   daemon->metrics = NULL;
   uv_close((uv_handle_t *)&daemon->server.inherited_closed, NULL);
 }

@@ -62,7 +62,7 @@ static inline bool budget_take(struct budget *budget, uint64_t bytes) {
 }
 
 /* Counts the first buffers of a connection, even beyond the budget, so that small requests and
- * errors are answered however much memory large requests hold. The limits of connections bound
+ * errors are reported however much memory large requests hold. The limits of connections bound
  * these buffers. */
 static inline void budget_take_base(struct budget *budget, uint64_t bytes) {
   for (; budget != NULL; budget = budget->whole) {

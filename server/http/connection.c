@@ -151,7 +151,7 @@ static size_t library_bytes(const char *uri) {
   return (bytes > half ? bytes : half) + names * NAME_BYTES;
 }
 
-/* Answers a request whose URI the library has too little memory for: it would close the connection
+/* Serves a request whose URI the library has too little memory for: it would close the connection
  * without a word. The rest of the request is thrown away, since the kernel resets a connection that
  * is closed with bytes to read, and the client might lose the reply. */
 static void refuse_uri(struct http_connection *c) {
@@ -349,7 +349,7 @@ static void end_run(struct run *run, const wire_error *refusal) {
   struct http_connection *c = run->owner;
   drop_points(c);
   c->error = refusal != NULL ? *refusal : wire_error_none();
-  stats_count_answer(&c->host->server->stats, c->error.status);
+  stats_count_reply(&c->host->server->stats, c->error.status);
   latency_note(worker_context(c->host->worker)->latency, run->latency, c->arrived_ns);
 }
 
@@ -465,7 +465,7 @@ static enum MHD_Result reply_to_message(struct http_connection *c) {
   const wire_error error = translate(c, &deadline_ms);
   if (error.status != WIRE_STATUS_OK) {
     stats_add(&c->host->server->stats, job_type_of(c->route.message->type)->requests, 1);
-    stats_count_answer(&c->host->server->stats, error.status);
+    stats_count_reply(&c->host->server->stats, error.status);
     return send_error(c, &error, 0);
   }
   return start_job(c, c->route.message->type, deadline_ms);
@@ -580,9 +580,9 @@ static unsigned check_header(struct http_connection *c, const char *url, const c
 
 static enum MHD_Result take_end(struct http_connection *c);
 
-/* Notes whether the header refuses the request. The answer has to wait for the end of the request:
+/* Notes whether the header refuses the request. The reply has to wait for the end of the request:
  * if it came before, the library would close the connection, and the client might not see it. But if
- * that end is unclear, the connection is to be closed; and a client that asks whether to send the
+ * that end is unclear, the connection is to be closed; and a client that waits for leave to send the
  * body waits, and is told at once. */
 static enum MHD_Result take_header(struct http_connection *c, const char *url, const char *method,
                                    const char *version) {
@@ -614,7 +614,7 @@ static enum MHD_Result take_body(struct http_connection *c, const char *body, si
   return MHD_YES;
 }
 
-/* Answers a request that has arrived completely. */
+/* Serves a request that has arrived completely. */
 static enum MHD_Result take_end(struct http_connection *c) {
   if (c->refused == 0) {
     return handle_request(c);
@@ -684,7 +684,7 @@ static bool is_abandoned(const struct http_connection *c) {
   return poll(&peer, 1, 0) > 0 && (peer.revents & (POLLRDHUP | POLLHUP | POLLERR)) != 0;
 }
 
-/* A request has to arrive within frame_timeout_ms, counted from the last answer. So one rule bounds
+/* A request has to arrive within frame_timeout_ms, counted from the last reply. So one rule bounds
  * slow clients and idle ones. */
 static void check_time(struct client *client, uint64_t at_ms) {
   struct http_connection *c = connection_of(client);

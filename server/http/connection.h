@@ -1,7 +1,7 @@
-/* connection: one HTTP connection, whose requests are answered one after the other.
+/* connection: one HTTP connection, whose requests are served one after the other.
  *
  * A request becomes the payload of a message, whose job server/jobs/run.h runs: so HTTP has the limits,
- * shares, deadlines and errors of the binary protocol. Most requests are answered at
+ * shares, deadlines and errors of the binary protocol. Most requests are served at
  * once. The others go on in the turns of the connection, as a client of the worker
  * (server/net/client.h), while the library leaves the connection alone.
  */

@@ -91,7 +91,7 @@ static enum whose whose_host(const struct options *options, const char *host) {
   return ours ? OURS : FOREIGN;
 }
 
-static bool may_ask(const struct options *options, const struct header *header, bool is_open) {
+static bool may_request(const struct options *options, const struct header *header, bool is_open) {
   const char *allowed = options->http_allow_origin;
   return header->site == NULL || strcasecmp(header->site, "cross-site") != 0 ||
          (is_open && header->mode != NULL && strcasecmp(header->mode, "navigate") == 0) ||
@@ -125,7 +125,7 @@ unsigned http_header_check(struct MHD_Connection *connection, const struct optio
                              "an address, localhost, or a name that --http-name gives");
     return MHD_HTTP_MISDIRECTED_REQUEST;
   }
-  if (!may_ask(options, &header, open_path != NULL && strcmp(target, open_path) == 0)) {
+  if (!may_request(options, &header, open_path != NULL && strcmp(target, open_path) == 0)) {
     *error = wire_error_make(WIRE_STATUS_NOT_ALLOWED, "Sec-Fetch-Site",
                              "same-origin; other pages by --http-allow-origin");
     return MHD_HTTP_FORBIDDEN;

@@ -16,7 +16,7 @@ size_t http_header_leave_escaped(void *context, struct MHD_Connection *connectio
  *
  *   400: it is unclear where the request ends (RFC 9112), so no other may be read behind it.
  *   421: it is for another name than this daemon has, as when DNS has been made to lead here.
- *   403: a page of another site asks, which may not, unless it only leads a reader to `open_path`. */
+ *   403: a page of another site sends it; it may only lead a reader to `open_path`. */
 unsigned http_header_check(struct MHD_Connection *connection, const struct options *options,
                            const char *target, const char *version, const char *open_path,
                            wire_error *error);

@@ -208,9 +208,9 @@ static void put_request(struct http_text *text, const schema_message *message, b
 
 /* ---- paths and replies ----------------------------------------------------------------------- */
 
-#define ANSWERS(schema)                                                                            \
+#define REPLIES(schema)                                                                            \
   ",'responses':{'200':{'description':'the "                                                       \
-  "answer','content':{'application/json':{'schema':" schema                                        \
+  "reply','content':{'application/json':{'schema':" schema                                         \
   "}}},'default':{'$ref':'#/components/responses/Error'}}}"
 
 static void put_path(struct http_text *text, const schema_message *message) {
@@ -218,17 +218,17 @@ static void put_path(struct http_text *text, const schema_message *message) {
   put_json(text, ",'/v1/%s':{'get':{'operationId':'get_%s','summary':%t,'parameters':[", name, name,
            message->about);
   put_request(text, message, true);
-  put_json(text, "]" ANSWERS(REFERENCE("%s_reply")), name);
+  put_json(text, "]" REPLIES(REFERENCE("%s_reply")), name);
   put_json(text,
            ",'post':{'operationId':'%s','summary':%t,'requestBody':{'required':true,'content':"
-           "{'application/json':{'schema':" REFERENCE("%s_request") "}}}" ANSWERS(
+           "{'application/json':{'schema':" REFERENCE("%s_request") "}}}" REPLIES(
                REFERENCE("%s_reply")) "}",
            name, message->about, name, name);
 }
 
 static void put_list_path(struct http_text *text, const char *path, const char *id,
                           const char *summary) {
-  put_json(text, ",'%s':{'get':{'operationId':'%s','summary':%t" ANSWERS("{'type':'object'}") "}",
+  put_json(text, ",'%s':{'get':{'operationId':'%s','summary':%t" REPLIES("{'type':'object'}") "}",
            path, id, summary);
 }
 
@@ -289,7 +289,7 @@ static void put_message_schemas(struct http_text *text, const schema_message *me
 
 static void put_schemas(struct http_text *text) {
   put_json(text,
-           ",'Number':{'nullable':true,'description':'A number; infinities are texts. In answers, "
+           ",'Number':{'nullable':true,'description':'A number; infinities are texts. In replies, "
            "null is a number that is not known.','oneOf':[{'type':'number'},"
            "{'type':'string','enum':['inf','-inf']}]},'Medium':{'oneOf':[" STRING "," REFERENCE(
                "Coefficients") ",{'type':'array','items':" REFERENCE("Coefficients") "}]}");

@@ -22,7 +22,7 @@ extern const char http_page_data_end[];
 #pragma GCC visibility pop
 
 /* The page's own script and style, which the Makefile has summed up, may run, and nothing else. The
- * page may ask this daemon alone, and no other page may frame it. */
+ * page may send requests to this daemon alone, and no other page may frame it. */
 #define POLICY                                                                                     \
   "default-src 'none'; script-src 'sha256-" PAGE_SCRIPT_SHA256                                     \
   "'; style-src 'sha256-" PAGE_STYLE_SHA256 "'; img-src data:; connect-src 'self'; "               \

@@ -4,7 +4,7 @@
 
 #include <microhttpd.h>
 
-/* Makes the answer that holds the page, with all its headers. Returns NULL if there is no memory.
+/* Makes the reply that holds the page, with all its headers. Returns NULL if there is no memory.
  * The caller destroys it. */
 struct MHD_Response *http_page_response(void);
 

@@ -260,11 +260,11 @@ static void write_table(struct http_text *text, const uint8_t *payload) {
 static void write_fit(struct http_text *text, const uint8_t *design, bool g_is_default,
                       const uint8_t *payload) {
   wire_fit_reply fixed;
-  wire_fit_design asked;
-  wire_get_fit_design(design, &asked);
-  http_text_number(text, "g", asked.g);
+  wire_fit_design assumed;
+  wire_get_fit_design(design, &assumed);
+  http_text_number(text, "g", assumed.g);
   http_text_bool(text, "g_is_default", g_is_default);
-  http_text_number(text, "eta", asked.eta);
+  http_text_number(text, "eta", assumed.eta);
   wire_get_fit_reply(payload, &fixed);
   const uint8_t *at = write_fields(text, FIELDS(fit_reply), payload);
   const uint8_t *residuals = payload + fit_residuals_offset(fixed.count);

@@ -8,15 +8,15 @@
 #include "server/http/values.h"
 
 /* Writes the payload of a request, of at most bytes_max bytes, its deadline, and whether its g is a
- * default. The daemon checks the values when it answers the request. */
+ * default. The daemon checks the values when it serves the request. */
 wire_error http_request_translate(const schema_message *message, const struct http_values *values,
-                                   struct http_text *payload, size_t bytes_max,
-                                   uint32_t *deadline_ms, bool *g_is_default);
+                                  struct http_text *payload, size_t bytes_max,
+                                  uint32_t *deadline_ms, bool *g_is_default);
 
 /* The lists of numbers of a request in JSON: one for each part that has an `about`, but x, y and z for
  * positions. Sets *name to the name of list `index`. Returns its part, or NULL behind the last. */
 const schema_part *http_request_list(const schema_payload *request, unsigned index,
-                                      const char **name);
+                                     const char **name);
 
 /* Returns how many media a request may have: 0, 1 or UINT_MAX. */
 unsigned http_request_media(const schema_payload *request);

@@ -34,7 +34,7 @@ struct http_values {
 wire_error http_values_parse(struct http_values *values, const char *bytes, size_t count,
                              size_t brackets_max);
 
-/* Reads what follows the question mark of a URI: NAME=VALUE with & between them, where commas
+/* Reads what follows the "?" of a URI: NAME=VALUE with & between them, where commas
  * separate the elements of a list. The values lie in the query, which this changes. On success the
  * caller frees the values. */
 wire_error http_values_parse_query(struct http_values *values, char *query);

@@ -148,7 +148,7 @@ const struct repeat_entry *repeat_find(struct repeat *repeat, const uint8_t *pay
              : NULL;
 }
 
-/* ---- answering them -------------------------------------------------------------------------- */
+/* ---- serving them -------------------------------------------------------------------------- */
 
 static const void *radii_of(const struct repeat_entry *entry, const uint8_t *payload,
                             double *radii) {
@@ -175,8 +175,8 @@ static void put_errors(const struct repeat_entry *entry, core_radii_range radii,
   }
 }
 
-void repeat_answer(const struct repeat_entry *entry, struct batch *batch, struct stats *stats,
-                   const uint8_t *payload, core_radii_range range, double *radii, uint8_t *reply) {
+void repeat_reply(const struct repeat_entry *entry, struct batch *batch, struct stats *stats,
+                  const uint8_t *payload, core_radii_range range, double *radii, uint8_t *reply) {
   const size_t used = entry->count * entry->value_bytes;
   const void *r = radii_of(entry, payload, radii);
   memcpy(reply, entry->reply, entry->head_bytes);

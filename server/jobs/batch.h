@@ -1,4 +1,4 @@
-/* batch: evaluates short eval requests together, and answers repeated requests faster.
+/* batch: evaluates short eval requests together, and serves repeated requests faster.
  *
  * Passes. In each round of its loop a worker gathers the short requests of all its clients. It
  * evaluates them at the end of the round, before anything is written. The radii of a pass are
@@ -70,7 +70,7 @@ enum {
   REPEAT_REPLY_BYTES = 288,   /* of a reply with one channel, without its arrays, at most */
 };
 
-/* A request that has been answered, and the start of its reply. */
+/* A request that has been served, and the start of its reply. */
 struct repeat_entry {
   uint64_t hash;
   size_t request_bytes; /* size up to the radii; 0 if the entry is empty */
@@ -111,7 +111,7 @@ const struct repeat_entry *repeat_find(struct repeat *repeat, const uint8_t *pay
 /* Fills in a reply of entry->reply_bytes, whose values follow in batch_finish(). range: set by
  * repeat_find(); radii: working space for BATCH_SHORT_RADII numbers. Call it after repeat_find(),
  * before another profile is got. */
-void repeat_answer(const struct repeat_entry *entry, struct batch *batch, struct stats *stats,
-                   const uint8_t *payload, core_radii_range range, double *radii, uint8_t *reply);
+void repeat_reply(const struct repeat_entry *entry, struct batch *batch, struct stats *stats,
+                  const uint8_t *payload, core_radii_range range, double *radii, uint8_t *reply);
 
 #endif

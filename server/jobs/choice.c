@@ -51,7 +51,7 @@ wire_error choice_check(const eval_request *request) {
                              : wire_error_make(WIRE_STATUS_BAD_VALUE, fault.field, fault.allowed);
 }
 
-core_choose_request choice_asked(const eval_request *request, core_radii_range radii) {
+core_choose_request choice_request(const eval_request *request, core_radii_range radii) {
   const wire_eval_request *fixed = &request->fixed;
   return (core_choose_request){
       .media = request->media,
@@ -67,9 +67,9 @@ core_choose_request choice_asked(const eval_request *request, core_radii_range r
 /* ---- refusing -------------------------------------------------------------------------------- */
 
 /* Returns the best candidate. */
-static core_candidate best_of(const core_choose_request *asked) {
+static core_candidate best_of(const core_choose_request *requested) {
   core_candidate candidates[CORE_TRANSPORT_CANDIDATES];
-  core_choose(asked, candidates);
+  core_choose(requested, candidates);
   return candidates[0];
 }
 
@@ -83,13 +83,13 @@ static void round_up(char text[ROUNDED_BYTES], double value) {
 }
 
 /* Returns the medium whose error alone is the largest. */
-static size_t worst_medium(const core_choose_request *asked) {
-  core_choose_request one = *asked;
+static size_t worst_medium(const core_choose_request *requested) {
+  core_choose_request one = *requested;
   size_t worst = 0;
   double most = -1;
   one.media_count = 1;
-  for (size_t i = 0; i < asked->media_count; i++) {
-    one.media = &asked->media[i];
+  for (size_t i = 0; i < requested->media_count; i++) {
+    one.media = &requested->media[i];
     const double error = best_of(&one).error;
     worst = error > most ? i : worst;
     most = fmax(most, error);
@@ -98,9 +98,9 @@ static size_t worst_medium(const core_choose_request *asked) {
 }
 
 /* Whether an error below 1 is known for a usual medium in which one coefficient has this value. */
-static bool is_known(const core_choose_request *asked, unsigned which, double value) {
+static bool is_known(const core_choose_request *requested, unsigned which, double value) {
   core_medium medium = {1, 1, 0, 1.3};
-  core_choose_request one = *asked;
+  core_choose_request one = *requested;
   *(which == 0 ? &medium.g : which == 1 ? &medium.eta : &medium.sigma_a_per_mm) = value;
   medium.sigma_s_per_mm /= 1 - medium.g;
   one.media = &medium;
@@ -110,9 +110,9 @@ static bool is_known(const core_choose_request *asked, unsigned which, double va
 }
 
 /* Writes which coefficient of a medium no error is known for, and up to where one is. */
-static void describe_cause(const core_choose_request *asked, size_t worst, char *text,
+static void describe_cause(const core_choose_request *requested, size_t worst, char *text,
                            size_t bytes) {
-  const core_medium *medium = &asked->media[worst];
+  const core_medium *medium = &requested->media[worst];
   const double ratio = medium->sigma_a_per_mm / (medium->sigma_s_per_mm * (1 - medium->g));
   const struct {
     const char *name;
@@ -121,10 +121,10 @@ static void describe_cause(const core_choose_request *asked, size_t worst, char 
       {"g", 0, medium->g}, {"eta", 1.3, medium->eta}, {"sigma_a/sigma_s'", 1, ratio}};
   for (unsigned i = 0; i < 3; i++) {
     double good = coefficients[i].usual, bad = coefficients[i].given;
-    if (is_known(asked, i, good) && !is_known(asked, i, bad)) {
+    if (is_known(requested, i, good) && !is_known(requested, i, bad)) {
       for (int halving = 0; halving < 40; halving++) {
         const double middle = 0.5 * (good + bad);
-        *(is_known(asked, i, middle) ? &good : &bad) = middle;
+        *(is_known(requested, i, middle) ? &good : &bad) = middle;
       }
       snprintf(text, bytes, ": %s %.4g is %s %.2g", coefficients[i].name, coefficients[i].given,
                bad > coefficients[i].usual ? "above" : "below", good);
@@ -134,11 +134,11 @@ static void describe_cause(const core_choose_request *asked, size_t worst, char 
 }
 
 /* Returns the refusal of a tolerance that no candidate keeps. */
-static wire_error none_meets(const core_choose_request *asked) {
+static wire_error none_meets(const core_choose_request *requested) {
   char allowed[ALLOWED_BYTES], medium[32] = "", least[ROUNDED_BYTES];
-  const size_t worst = worst_medium(asked);
-  const core_candidate best = best_of(asked);
-  if (asked->media_count > 1) {
+  const size_t worst = worst_medium(requested);
+  const core_candidate best = best_of(requested);
+  if (requested->media_count > 1) {
     snprintf(medium, sizeof medium, " for medium %zu", worst + 1);
   }
   if (best.error <= 1) { /* as large as the parameter may be */
@@ -148,7 +148,7 @@ static wire_error none_meets(const core_choose_request *asked) {
              core_choice_by_id(core_evaluators, best.evaluator)->name);
   } else {
     char cause[48] = "";
-    describe_cause(asked, worst, cause, sizeof cause);
+    describe_cause(requested, worst, cause, sizeof cause);
     snprintf(allowed, sizeof allowed, "a model instead: no error known%s", cause);
     if (strlen(allowed) + strlen(medium) < sizeof allowed) {
       strcat(allowed, medium);
@@ -164,10 +164,10 @@ static wire_error none_meets(const core_choose_request *asked) {
 /* Writes the next candidate into the request. Returns false if there is none left, or if it cannot
  * keep the tolerance. What only the solver has is solved, whatever the tolerance is, so that a refusal
  * can say what it reaches. */
-static bool take_next(struct choice_state *state, const core_choose_request *asked,
+static bool take_next(struct choice_state *state, const core_choose_request *requested,
                       eval_request *request) {
   core_candidate candidates[CORE_TRANSPORT_CANDIDATES];
-  const size_t count = core_choose(asked, candidates);
+  const size_t count = core_choose(requested, candidates);
   const core_candidate *candidate = &candidates[state->tried];
   if (state->tried >= count ||
       !(candidate->meets || (!candidate->looked_up && candidate->error <= 1))) {
@@ -182,9 +182,9 @@ static bool take_next(struct choice_state *state, const core_choose_request *ask
 }
 
 wire_error choice_first(struct choice_state *state, eval_request *request, core_radii_range radii) {
-  const core_choose_request asked = choice_asked(request, radii);
-  *state = (struct choice_state){.tolerance = asked.tolerance};
-  return take_next(state, &asked, request) ? wire_error_none() : none_meets(&asked);
+  const core_choose_request requested = choice_request(request, radii);
+  *state = (struct choice_state){.tolerance = requested.tolerance};
+  return take_next(state, &requested, request) ? wire_error_none() : none_meets(&requested);
 }
 
 /* ---- preparing ------------------------------------------------------------------------------- */
@@ -200,10 +200,10 @@ bool choice_heeds_radii(const struct choice_state *state, const eval_request *re
 /* Returns the error of the table of solutions for a medium. */
 static double stored_error(const eval_request *request, const core_medium *medium,
                            core_radii_range radii) {
-  core_choose_request asked = choice_asked(request, radii);
-  asked.media = medium;
-  asked.media_count = 1;
-  return core_choose_stored_error(&asked);
+  core_choose_request requested = choice_request(request, radii);
+  requested.media = medium;
+  requested.media_count = 1;
+  return core_choose_stored_error(&requested);
 }
 
 core_parameters choice_parameters(const struct choice_state *state, const eval_request *request,
@@ -262,6 +262,6 @@ bool choice_again(struct choice_state *state, core_fault fault, eval_request *re
     return false;
   }
   request->parameters.value[CORE_PARAMETER_TOLERANCE] = state->tolerance;
-  const core_choose_request asked = choice_asked(request, radii);
-  return take_next(state, &asked, request);
+  const core_choose_request requested = choice_request(request, radii);
+  return take_next(state, &requested, request);
 }

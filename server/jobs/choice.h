@@ -24,7 +24,7 @@ wire_error choice_check(const eval_request *request);
 /* Returns the arguments of core/choose.h for a request of model EVAL_ANY_MODEL, after
  * choice_check() and the check of its radii, which lie in the range `radii` unless they are
  * infinite. */
-core_choose_request choice_asked(const eval_request *request, core_radii_range radii);
+core_choose_request choice_request(const eval_request *request, core_radii_range radii);
 
 /* Writes the best candidate into the request, as if the client had requested it. Returns an error
  * if none keeps the tolerance; it says which tolerance the best one keeps. */

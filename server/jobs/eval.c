@@ -285,11 +285,11 @@ static uint64_t least_cost(const struct eval_job *eval) {
 #define DRAWN_BEYOND 1e-6
 
 /* Returns the radii for which the channel's model error is stated. */
-static core_requested_radii asked_radii(const struct eval_job *eval) {
+static core_requested_radii requested_radii(const struct eval_job *eval) {
   if (!is_sample(eval)) {
-    core_requested_radii asked = {eval->grid, eval->request.radii, eval->radii, {0, 0}};
-    core_requested_ends(&asked, eval_job_value_bytes(eval) == sizeof(float));
-    return asked;
+    core_requested_radii requested = {eval->grid, eval->request.radii, eval->radii, {0, 0}};
+    core_requested_ends(&requested, eval_job_value_bytes(eval) == sizeof(float));
+    return requested;
   }
   const core_profile *profile = &eval->lookup.profile;
   double ends[] = {DRAWN_BEYOND, 1 - DRAWN_BEYOND};
@@ -308,12 +308,12 @@ static core_requested_radii asked_radii(const struct eval_job *eval) {
 }
 
 static double model_error(const struct eval_job *eval, unsigned wanted,
-                          const core_requested_radii *asked) {
+                          const core_requested_radii *requested) {
   if ((eval->request.fixed.wanted & CORE_QUANTITY_MODEL_ERROR) == 0) {
     return (double)NAN;
   }
   return core_model_error(&eval->lookup.profile, eval->ruler.ready ? &eval->ruler.profile : NULL,
-                          wanted, asked);
+                          wanted, requested);
 }
 
 /* Where the albedos and errors begin, and their size. They are the same in each part. */
@@ -356,9 +356,9 @@ static void start_channel(struct eval_job *eval) {
   const unsigned listed = eval->request.fixed.wanted;
   const double albedo = (listed & CORE_QUANTITY_ALBEDO) != 0 ? profile->albedo : (double)NAN;
   memcpy(eval->reply + eval_albedo_offset(eval->channel), &albedo, sizeof albedo);
-  core_requested_radii asked = {.listed = NULL};
+  core_requested_radii requested = {.listed = NULL};
   if ((listed & CORE_QUANTITY_MODEL_ERROR) != 0) {
-    asked = asked_radii(eval);
+    requested = requested_radii(eval);
   }
   double worst = (double)NAN; /* passes those over that cannot be compared */
   for (unsigned left = listed; left != 0; left &= left - 1) {
@@ -368,7 +368,7 @@ static void start_channel(struct eval_job *eval) {
     const unsigned with = quantity | (is_drawn ? (unsigned)CORE_QUANTITY_CDF : 0);
     const core_stated_errors stated = core_profile_errors(profile, with, eval->radii);
     const double off =
-        quantity == CORE_QUANTITY_MODEL_ERROR ? worst : model_error(eval, with, &asked);
+        quantity == CORE_QUANTITY_MODEL_ERROR ? worst : model_error(eval, with, &requested);
     const wire_quantity_error error = {stated.numerical, stated.numerical_per_mm, as_told(off)};
     worst = fmax(worst, off);
     wire_put_quantity_error(
@@ -410,7 +410,7 @@ static void start_profiles(struct eval_job *eval) {
 
 /* Gets the profile of transport for the current channel, if its model error needs it. MODEL_ERRORS
  * requests it even if it has to be solved. */
-static enum lookup_answer get_ruler(struct eval_job *eval, const core_medium *medium) {
+static enum lookup_state get_ruler(struct eval_job *eval, const core_medium *medium) {
   const wire_eval_request *fixed = &eval->request.fixed;
   const unsigned compares =
       CORE_QUANTITY_MODEL_ERRORS | (eval->head == NULL ? (unsigned)CORE_QUANTITY_MODEL_ERROR : 0);
@@ -439,9 +439,9 @@ static bool start_again(struct eval_job *eval) {
 /* Gets the profile of the current channel. */
 static enum job_outcome get_profile(struct eval_job *eval) {
   const core_medium *medium = eval_job_medium(eval, eval->channel);
-  enum lookup_answer answer = get_ruler(eval, medium);
-  if (answer != LOOKUP_READY) {
-    return job_follow(&eval->job, answer, &eval->ruler.fault, eval->channel);
+  enum lookup_state state = get_ruler(eval, medium);
+  if (state != LOOKUP_READY) {
+    return job_follow(&eval->job, state, &eval->ruler.fault, eval->channel);
   }
   if (choice_heeds_radii(&eval->choice, &eval->request)) {
     const wire_eval_request *fixed = &eval->request.fixed;
@@ -449,12 +449,12 @@ static enum job_outcome get_profile(struct eval_job *eval) {
         choice_parameters(&eval->choice, &eval->request, medium, eval->radii);
     profiles_start(&eval->lookup, fixed->model, fixed->moments, fixed->evaluator, &parameters);
   }
-  answer = profiles_get(&eval->job.context->profiles, &eval->lookup, medium);
-  if (answer == LOOKUP_FAULT && start_again(eval)) {
+  state = profiles_get(&eval->job.context->profiles, &eval->lookup, medium);
+  if (state == LOOKUP_FAULT && start_again(eval)) {
     return JOB_GOES_ON;
   }
-  if (answer != LOOKUP_READY) {
-    return job_follow(&eval->job, answer, &eval->lookup.fault, eval->channel);
+  if (state != LOOKUP_READY) {
+    return job_follow(&eval->job, state, &eval->lookup.fault, eval->channel);
   }
   if (!isnan(eval->choice.tolerance) &&
       !choice_keeps(&eval->choice, &eval->request, eval->radii, &eval->lookup.profile, medium,
@@ -668,8 +668,8 @@ enum job_outcome eval_job_begin_part(struct job *job, uint8_t *payload) {
   struct eval_job *eval = eval_of(job);
   if (eval->repeated != NULL) {
     struct job_context *context = job->context;
-    repeat_answer(eval->repeated, &context->batch, stats_of(eval), eval->payload, eval->radii,
-                  context->radii, payload);
+    repeat_reply(eval->repeated, &context->batch, stats_of(eval), eval->payload, eval->radii,
+                 context->radii, payload);
     return JOB_DONE;
   }
   eval->reply = payload;

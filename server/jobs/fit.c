@@ -149,10 +149,10 @@ static enum job_outcome get_design(struct fit_job *fit) {
                                 .content = fit->request.design_bytes,
                                 .content_bytes = bytes,
                                 .hash = cache_hash(0, fit->request.design_bytes, bytes)};
-  const enum lookup_answer answer =
+  const enum lookup_state state =
       lookup_get(&fit->job.context->profiles.lookups, &fit->lookup, &key, true, true);
-  if (answer != LOOKUP_READY) {
-    return job_follow(&fit->job, answer, &fit->lookup.fault, fit->lookup.fault.index);
+  if (state != LOOKUP_READY) {
+    return job_follow(&fit->job, state, &fit->lookup.fault, fit->lookup.fault.index);
   }
   fit->search = core_fit_search_new();
   return fit->search != NULL ? JOB_GOES_ON : job_refuse(&fit->job, out_of_memory());
@@ -214,15 +214,15 @@ static enum job_outcome begin_refining(struct fit_job *fit, const core_fit_resul
 static enum job_outcome refine_set(struct fit_job *fit) {
   struct refining *refining = fit->refining;
   refining->lookup.cached.owner = fit->lookup.owner; /* the job may have been moved */
-  const enum lookup_answer answer =
+  const enum lookup_state state =
       profiles_get(&fit->job.context->profiles, &refining->lookup, &refining->medium);
-  if (answer == LOOKUP_FAULT && !lookup_is_busy(refining->lookup.fault)) {
+  if (state == LOOKUP_FAULT && !lookup_is_busy(refining->lookup.fault)) {
     refining->goes_on = false; /* the model takes the medium of the table, but not this one */
     put_result(fit, &refining->result);
     return JOB_GOES_ON;
   }
-  if (answer != LOOKUP_READY) {
-    return job_follow(&fit->job, answer, &refining->lookup.fault, 0);
+  if (state != LOOKUP_READY) {
+    return job_follow(&fit->job, state, &refining->lookup.fault, 0);
   }
   const struct set set = next_set(fit);
   const bool more =

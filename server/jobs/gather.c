@@ -135,10 +135,10 @@ static enum job_outcome check_queries(struct gather_job *gather) {
 static enum job_outcome find_set(struct gather_job *gather) {
   struct lookup *lookup = &gather->work->set;
   const wire_gather_request *fixed = &gather->request.fixed;
-  const enum lookup_answer answer =
+  const enum lookup_state state =
       points_get(&gather->job.context->profiles.lookups, lookup, fixed->set, NULL);
-  if (answer != LOOKUP_READY) {
-    return job_follow(&gather->job, answer, &lookup->fault, 0);
+  if (state != LOOKUP_READY) {
+    return job_follow(&gather->job, state, &lookup->fault, 0);
   }
   return core_gather_points_channels(points_found(lookup)) == fixed->medium_count
              ? JOB_GOES_ON
@@ -153,22 +153,22 @@ static enum job_outcome prepare_channel(struct gather_job *gather) {
   const core_medium *medium = &gather->request.media[work->ready * fixed->layer_count];
   struct profiles_lookup *lookup = &work->channels[work->ready];
   struct profiles *profiles = &gather->job.context->profiles;
-  enum lookup_answer answer = profiles_get_ruler(profiles, &work->ruler, fixed->model,
-                                                 &gather->request.parameters, medium, false);
-  if (answer == LOOKUP_READY) {
+  enum lookup_state state = profiles_get_ruler(profiles, &work->ruler, fixed->model,
+                                               &gather->request.parameters, medium, false);
+  if (state == LOOKUP_READY) {
     profiles_start(lookup, fixed->model, fixed->moments, fixed->evaluator,
                    &gather->request.parameters);
-    answer = profiles_get(profiles, lookup, medium);
+    state = profiles_get(profiles, lookup, medium);
   } else {
     lookup->fault = work->ruler.fault;
   }
-  if (answer == LOOKUP_READY) {
+  if (state == LOOKUP_READY) {
     const core_model_errors errors = core_model_errors_measure(
         &lookup->profile, work->ruler.ready ? &work->ruler.profile : NULL);
     work->model_error[work->ready++] = core_gather_model_error(&errors, medium);
     profiles_return(&work->ruler);
   }
-  return job_follow(&gather->job, answer, &lookup->fault, work->ready);
+  return job_follow(&gather->job, state, &lookup->fault, work->ready);
 }
 
 /* Takes memory for the scratch, which points of this number need. */
@@ -249,8 +249,8 @@ static void count_cost(struct gather_job *gather) {
   gather->counted += count;
 }
 
-/* Returns how many queries the present part answers. */
-static uint64_t answered_count(const struct gather_job *gather) {
+/* Returns how many queries the present part holds. */
+static uint64_t computed_count(const struct gather_job *gather) {
   return gather->piece + 1 == gather->piece_count ? gather->parts.count : 0;
 }
 
@@ -309,20 +309,20 @@ static enum job_outcome prepare_next(struct gather_job *gather) {
 
 static void put_head(const struct gather_job *gather, uint8_t *payload) {
   const struct gather_work *work = gather->work;
-  const wire_gather_request *asked = &gather->request.fixed;
+  const wire_gather_request *requested = &gather->request.fixed;
   const struct job_parts *parts = &gather->parts;
-  wire_gather_reply fixed = {.model = asked->model,
-                             .evaluator = asked->evaluator,
-                             .moments = asked->moments,
-                             .channel_count = asked->medium_count,
-                             .count = answered_count(gather),
+  wire_gather_reply fixed = {.model = requested->model,
+                             .evaluator = requested->evaluator,
+                             .moments = requested->moments,
+                             .channel_count = requested->medium_count,
+                             .count = computed_count(gather),
                              .first = parts->first,
                              .part = parts->part * gather->piece_count + gather->piece,
                              .part_count = parts->part_count * gather->piece_count,
                              .bound = (double)work->worst,
                              .points_visited = work->visits.points,
                              .nodes_visited = work->visits.nodes};
-  for (uint32_t i = 0; i < asked->medium_count; i++) {
+  for (uint32_t i = 0; i < requested->medium_count; i++) {
     const core_profile *profile = &work->channels[i].profile;
     const wire_quantity_error error = {
         .numerical_error = core_gather_error(work->sum, points_found(&work->set), i,
@@ -341,7 +341,7 @@ static enum job_outcome put_gather(struct job *job, uint8_t *payload) {
   const uint32_t channels = gather->request.fixed.medium_count;
   put_head(gather, payload);
   memcpy(payload + gather_sums_offset(channels), gather->work->sums,
-         (size_t)answered_count(gather) * channels * sizeof(double));
+         (size_t)computed_count(gather) * channels * sizeof(double));
   gather->piece++;
   if (gather->piece == gather->piece_count) {
     gather->piece = 0;
@@ -393,7 +393,7 @@ static enum job_outcome gather_slice(struct gather_job *gather, uint64_t *budget
   if (!part_is_done(gather)) {
     return JOB_GOES_ON;
   }
-  gather->job.part_bytes = gather_reply_bytes(channels, answered_count(gather));
+  gather->job.part_bytes = gather_reply_bytes(channels, computed_count(gather));
   return JOB_NEXT_PART;
 }
 

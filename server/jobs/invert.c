@@ -165,13 +165,13 @@ static enum job_outcome try_medium(struct invert_job *invert, double *albedo) {
                                          invert->inverter.light, &invert->inverter.medium, albedo);
     return job_follow(&invert->job, fault.field == NULL ? LOOKUP_READY : LOOKUP_FAULT, &fault, i);
   }
-  const enum lookup_answer answer =
+  const enum lookup_state state =
       profiles_get(&context->profiles, &invert->lookup, &invert->inverter.medium);
-  if (answer == LOOKUP_READY) {
+  if (state == LOOKUP_READY) {
     *albedo = invert->lookup.profile.albedo;
     profiles_return(&invert->lookup);
   }
-  return job_follow(&invert->job, answer, &invert->lookup.fault, i);
+  return job_follow(&invert->job, state, &invert->lookup.fault, i);
 }
 
 /* Gives the albedo of a probe to the inverter. The first probes find out which albedos the model

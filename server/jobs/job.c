@@ -139,11 +139,11 @@ enum job_outcome job_check(struct job *job, wire_error error) {
   return error.status == WIRE_STATUS_OK ? JOB_GOES_ON : job_refuse(job, error);
 }
 
-enum job_outcome job_follow(struct job *job, enum lookup_answer answer, const core_fault *fault,
+enum job_outcome job_follow(struct job *job, enum lookup_state state, const core_fault *fault,
                             uint64_t channel) {
-  return answer == LOOKUP_READY  ? JOB_GOES_ON
-         : answer == LOOKUP_WAIT ? JOB_WAITS
-                                 : job_refuse(job, job_fault(*fault, channel));
+  return state == LOOKUP_READY  ? JOB_GOES_ON
+         : state == LOOKUP_WAIT ? JOB_WAITS
+                                : job_refuse(job, job_fault(*fault, channel));
 }
 
 wire_error job_error(core_fault fault) {

@@ -1,4 +1,4 @@
-/* job: the interface of all requests that are being answered, whatever their message.
+/* job: the interface of all requests that are being served, whatever their message.
  *
  * Each message of proto/messages.def has one `struct job_kind`, named job_kind_<IDENT>, which says all
  * that the daemon knows of it. Its functions are called by server/jobs/run.c alone:
@@ -105,7 +105,7 @@ struct job_kind {
   /* Makes a detached job end soon with its results so far. NULL: a cancel request ends it at once. */
   void (*stop)(struct job *job, enum job_stop why);
 
-  /* Whether such requests take long: a connection answers the requests behind them meanwhile. */
+  /* Whether such requests take long: a connection serves the requests behind them meanwhile. */
   bool detached;
 };
 
@@ -229,7 +229,7 @@ enum job_outcome job_check(struct job *job, wire_error error);
 
 /* Follows a lookup for a channel: continues with what is READY, WAITS, or refuses the job by
  * *fault. */
-enum job_outcome job_follow(struct job *job, enum lookup_answer answer, const core_fault *fault,
+enum job_outcome job_follow(struct job *job, enum lookup_state state, const core_fault *fault,
                             uint64_t channel);
 
 /* Makes the error BAD_VALUE of a fault that core has found, or no error. */

@@ -225,8 +225,8 @@ static double photons_for(double error, double wanted, double photons) {
 }
 
 static bool is_enough(const struct mc_task *task) {
-  const bool asked = task->error_total > 0 || task->error_rings > 0;
-  return asked && core_mc_total_batches(task->total) >= MC_TASK_BATCHES_MIN &&
+  const bool is_wanted = task->error_total > 0 || task->error_rings > 0;
+  return is_wanted && core_mc_total_batches(task->total) >= MC_TASK_BATCHES_MIN &&
          (task->error_total == 0 || task->progress.error_total <= task->error_total) &&
          (task->error_rings == 0 || task->progress.error_rings <= task->error_rings);
 }

@@ -1,4 +1,4 @@
-/* Offers: lists the models and evaluators that could answer an eval, with their errors and costs.
+/* Offers: lists the models and evaluators that could serve an eval, with their errors and costs.
  * Transport comes as an eval with a tolerance would get it (choice.h). The errors of other models are
  * computed from their profiles. */
 #include <math.h>
@@ -17,8 +17,8 @@ struct offers_job {
 
 JOB_STRUCTURE(struct offers_job, offers_of)
 
-static core_choose_request asked_of(const struct offers_job *offers) {
-  return choice_asked(&offers->eval.request, offers->eval.radii);
+static core_choose_request request_of(const struct offers_job *offers) {
+  return choice_request(&offers->eval.request, offers->eval.radii);
 }
 
 /* ---- comparing ------------------------------------------------------------------------------- */
@@ -30,8 +30,8 @@ static enum core_evaluator evaluator_of(const struct offers_job *offers) {
 
 /* Gets the profiles of the next model and of transport, for the next medium. *fault: why there is
  * none. */
-static enum lookup_answer get_profiles(struct offers_job *offers, unsigned model,
-                                       const core_medium *medium, core_fault *fault) {
+static enum lookup_state get_profiles(struct offers_job *offers, unsigned model,
+                                      const core_medium *medium, core_fault *fault) {
   struct eval_job *eval = &offers->eval;
   struct profiles *profiles = &eval->job.context->profiles;
   const core_parameters none = core_parameters_none();
@@ -43,30 +43,29 @@ static enum lookup_answer get_profiles(struct offers_job *offers, unsigned model
   if (fault->field != NULL || !covers || !core_ruler_is_needed(model, &none, medium, false)) {
     return LOOKUP_FAULT;
   }
-  enum lookup_answer answer =
-      profiles_get_ruler(profiles, &eval->ruler, model, &none, medium, false);
+  enum lookup_state state = profiles_get_ruler(profiles, &eval->ruler, model, &none, medium, false);
   *fault = eval->ruler.fault;
-  if (answer != LOOKUP_READY) {
-    return answer;
+  if (state != LOOKUP_READY) {
+    return state;
   }
   profiles_start(&eval->lookup, model, CORE_MOMENTS_EXACT, evaluator_of(offers), &none);
-  answer = profiles_get(profiles, &eval->lookup, medium);
+  state = profiles_get(profiles, &eval->lookup, medium);
   *fault = eval->lookup.fault;
-  return answer;
+  return state;
 }
 
 /* Raises the errors of the model to those for this medium. */
 static void compare_model(struct offers_job *offers, bool known) {
   const struct eval_job *eval = &offers->eval;
-  core_requested_radii asked = {eval->grid, eval->request.radii, eval->radii, {0, 0}};
-  core_requested_ends(&asked, eval_job_value_bytes(eval) == sizeof(float));
-  const unsigned wanted = asked_of(offers).wanted;
+  core_requested_radii requested = {eval->grid, eval->request.radii, eval->radii, {0, 0}};
+  core_requested_ends(&requested, eval_job_value_bytes(eval) == sizeof(float));
+  const unsigned wanted = request_of(offers).wanted;
   double model = (double)INFINITY, numerical = (double)INFINITY;
   if (known) {
     const core_stated_errors errors =
         core_profile_errors(&eval->lookup.profile, wanted, eval->radii);
     const double found =
-        core_model_error(&eval->lookup.profile, &eval->ruler.profile, wanted, &asked);
+        core_model_error(&eval->lookup.profile, &eval->ruler.profile, wanted, &requested);
     const bool any = eval->grid.count > 0;
     model = isnan(found) ? (double)INFINITY : found;
     numerical = errors.numerical + (any ? errors.numerical_per_mm * eval->radii.most_mm : 0);
@@ -88,15 +87,15 @@ static enum job_outcome step_offers(struct job *job, uint64_t *budget) {
     offers->medium++;
   } else {
     core_fault fault;
-    const enum lookup_answer answer =
+    const enum lookup_state state =
         get_profiles(offers, model, eval_job_medium(eval, offers->medium), &fault);
-    if (answer == LOOKUP_WAIT) {
+    if (state == LOOKUP_WAIT) {
       return JOB_WAITS;
     }
-    if (answer == LOOKUP_FAULT && fault.field != NULL && lookup_is_busy(fault)) {
+    if (state == LOOKUP_FAULT && fault.field != NULL && lookup_is_busy(fault)) {
       return job_refuse(job, job_fault(fault, offers->medium));
     }
-    compare_model(offers, answer == LOOKUP_READY);
+    compare_model(offers, state == LOOKUP_READY);
     profiles_return(&eval->lookup);
     offers->model++;
   }
@@ -141,19 +140,19 @@ static int by_cost(const void *a, const void *b) {
  * an eval would get, or to their number if it would get none. */
 static size_t list_candidates(const struct offers_job *offers, core_candidate *candidates,
                               size_t *taken) {
-  const core_choose_request asked = asked_of(offers);
-  size_t count = core_choose(&asked, candidates);
+  const core_choose_request requested = request_of(offers);
+  size_t count = core_choose(&requested, candidates);
   const core_candidate first = candidates[0];
   for (size_t i = 0; core_costed_models[i] != 0 && count > 0; i++) {
     const unsigned model = core_costed_models[i];
     if (core_solves(model)) {
       continue;
     }
-    core_offer(&candidates[count++], &asked, model, evaluator_of(offers), offers->errors[i].model,
-               offers->errors[i].numerical);
-    if (asked.single) {
-      core_offer(&candidates[count++], &asked, model, CORE_EVALUATOR_LUT, offers->errors[i].model,
-                 fmax(offers->errors[i].numerical, CORE_LUT_TOLERANCE));
+    core_offer(&candidates[count++], &requested, model, evaluator_of(offers),
+               offers->errors[i].model, offers->errors[i].numerical);
+    if (requested.single) {
+      core_offer(&candidates[count++], &requested, model, CORE_EVALUATOR_LUT,
+                 offers->errors[i].model, fmax(offers->errors[i].numerical, CORE_LUT_TOLERANCE));
     }
   }
   qsort(candidates, count, sizeof *candidates, by_cost);

@@ -1,4 +1,4 @@
-/* Points: takes a set of points in parts (server/store/points.h). The last part is answered when the
+/* Points: takes a set of points in parts (server/store/points.h). The last part ends when the
  * tree of the set has been built, on a thread of the pool. */
 #include "server/store/points.h"
 
@@ -12,7 +12,7 @@ struct points_job {
   struct lookup lookup;
   struct points **sent;  /* the set that this connection is sending */
   struct points *points; /* the set that this part is of; a reference; NULL: none, or it is known */
-  bool asked;            /* whether the cache was requested to find the set */
+  bool looked_up;        /* whether the cache has been tried for the set */
   bool complete;         /* whether this part is the last one, and its points have been added */
   uint64_t done;         /* number of this part's points that have been added */
   wire_points_reply reply;
@@ -45,7 +45,7 @@ static enum job_outcome start_points(struct job *job, const struct job_request *
   }
   points->sent = from->points;
   points->points = NULL;
-  points->asked = points->complete = false;
+  points->looked_up = points->complete = false;
   points->done = 0;
   points->reply = (wire_points_reply){.set = {fixed->set[0], fixed->set[1]}};
   job_init_other(job, &points->lookup, from);
@@ -109,7 +109,7 @@ static enum job_outcome begin_set(struct points_job *points) {
   return error.status == WIRE_STATUS_OK ? JOB_GOES_ON : refuse_set(points, error);
 }
 
-/* Asks the cache whether it has the set, or to build its tree. */
+/* Looks the set up, whose tree the cache builds. */
 static enum job_outcome look_set_up(struct points_job *points) {
   const uint64_t *set = points->request.fixed.set;
   switch (points_get(&points->job.context->profiles.lookups, &points->lookup, set,
@@ -126,7 +126,7 @@ static enum job_outcome look_set_up(struct points_job *points) {
       return refuse_set(points, job_fault(points->lookup.fault, 0));
     }
   }
-  points->asked = true;
+  points->looked_up = true;
   return begin_set(points);
 }
 
@@ -162,7 +162,7 @@ static enum job_outcome step_points(struct job *job, uint64_t *budget) {
   struct points_job *points = points_of(job);
   uint64_t spent = JOB_STEP_RADII;
   const enum job_outcome outcome =
-      !points->asked || points->complete ? look_set_up(points) : add_slice(points, &spent);
+      !points->looked_up || points->complete ? look_set_up(points) : add_slice(points, &spent);
   *budget -= spent < *budget ? spent : *budget;
   return outcome;
 }

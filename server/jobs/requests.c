@@ -54,7 +54,7 @@ bool requests_refuse(struct requests *r, uint64_t request_id, const wire_error *
   if (at == NULL) {
     return false;
   }
-  stats_count_answer(stats_of(r), error->status);
+  stats_count_reply(stats_of(r), error->status);
   wire_put_error(at, error);
   output_commit(r->output);
   return true;
@@ -62,10 +62,10 @@ bool requests_refuse(struct requests *r, uint64_t request_id, const wire_error *
 
 /* Notes the end of a request. refusal: what is still to be written; NULL: all is. Returns false if the
  * output has no room for it. */
-static bool answer_request(struct requests *r, const wire_header *header,
-                           const wire_error *refusal) {
+static bool reply_to_request(struct requests *r, const wire_header *header,
+                             const wire_error *refusal) {
   if (refusal == NULL) {
-    stats_count_answer(stats_of(r), WIRE_STATUS_OK);
+    stats_count_reply(stats_of(r), WIRE_STATUS_OK);
     return true;
   }
   return requests_refuse(r, header->request_id, refusal);
@@ -240,7 +240,7 @@ static bool expire_detached(struct requests *r, struct detached *one) {
   return run_expire(&one->run);
 }
 
-/* Begins the parts that wait for room, and answers the requests that have ended, as far as there is
+/* Begins the parts that wait for room, and serves the requests that have ended, as far as there is
  * room. Returns whether there were any of these. */
 static bool write_detached(struct requests *r) {
   bool any = false;
@@ -257,7 +257,7 @@ static bool write_detached(struct requests *r) {
     if (one->run.state == RUN_HAS_PART) {
       job_rest(one->run.job);
     } else if (has_ended(one) &&
-               answer_request(r, &one->header, one->refused ? &one->refusal : NULL)) {
+               reply_to_request(r, &one->header, one->refused ? &one->refusal : NULL)) {
       latency_note(r->context->latency, one->run.latency, one->arrived_ns);
       remove_detached(r, one);
       any = true;
@@ -290,12 +290,12 @@ bool requests_step_detached(struct requests *r, uint64_t *budget) {
   return more;
 }
 
-/* ---- the request that is answered in its turn ------------------------------------------------ */
+/* ---- the request that is served in its turn ------------------------------------------------ */
 
 /* Removes the request that has been dealt with from the input. */
 static void end_frame(struct requests *r, const wire_error *refusal) {
   latency_note(r->context->latency, r->run.latency, r->arrived_ns);
-  r->no_room = !answer_request(r, &r->header, refusal);
+  r->no_room = !reply_to_request(r, &r->header, refusal);
   if (!r->no_room) {
     input_next(r->input, &r->header);
   }
@@ -439,7 +439,7 @@ static bool take_frame(struct requests *r) {
   return true;
 }
 
-/* Goes on with the request that is answered in its turn. Returns false if it waits for its profile,
+/* Goes on with the request that is served in its turn. Returns false if it waits for its profile,
  * or for the reader, who does not keep up with its parts. */
 static bool step_run(struct requests *r, uint64_t *budget) {
   if (r->run.state == RUN_HAS_PART) {

@@ -1,7 +1,7 @@
-/* requests: answers the requests of one connection, each from its frame in the input to its reply
- * or refusal in the output. One request at a time is answered in its turn, because its job uses the
+/* requests: serves the requests of one connection, each from its frame in the input to its reply
+ * or refusal in the output. One request at a time is served in its turn, because its job uses the
  * payload in place. Requests that take long (job_kind.detached) leave the input, and those behind them
- * are answered meanwhile.
+ * are served meanwhile.
  *
  * This module frames all replies and refusals. It knows neither the connection, which moves the
  * bytes, nor any kind of job (server/jobs/job.h). Call it on the worker's thread only.
@@ -28,9 +28,9 @@ struct requests {
 
   unsigned roles; /* roles of the client (server/net/roles.h) */
 
-  struct run run; /* the request that is answered in its turn, which is the first in the input */
-  wire_header header;              /* header of the request that is being served */
-  uint64_t arrived_ns;             /* when that request had arrived */
+  struct run run;      /* the request that is served in its turn, which is the first in the input */
+  wire_header header;  /* header of the request that is being served */
+  uint64_t arrived_ns; /* when that request had arrived */
   TAILQ_HEAD(, detached) detached; /* in the order of their turns */
   unsigned detached_count;
   uint64_t detached_bytes; /* bytes of their payloads */
@@ -44,7 +44,7 @@ struct requests {
 void requests_init(struct requests *requests, struct input *input, struct output *output,
                    void (*wake)(void *owner), void *owner);
 
-/* Returns whether a request has arrived completely and is not answered. */
+/* Returns whether a request has arrived completely and is not served. */
 static inline bool requests_wait(const struct requests *requests) {
   return requests->run.state != RUN_IDLE || requests->detached_count > 0 ||
          input_has_frame(requests->input);
@@ -61,7 +61,7 @@ void requests_drop(struct requests *requests);
 /* Gives up the set of points that the client is sending, if it takes too long. */
 void requests_trim(struct requests *requests, uint64_t now_ms);
 
-/* Does one step: takes the next frame, or continues with the request that is answered in its turn.
+/* Does one step: takes the next frame, or continues with the request that is served in its turn.
  * Subtracts the cost of the step from *budget, down to 0. Returns false if there is nothing to do. */
 bool requests_step(struct requests *requests, uint64_t *budget);
 
@@ -72,7 +72,7 @@ bool requests_step_detached(struct requests *requests, uint64_t *budget);
 /* Returns when the caller should call requests_expire(); 0 if no waiting request has a deadline. */
 uint64_t requests_deadline_ms(const struct requests *requests);
 
-/* Answers waiting requests whose deadline has passed with DEADLINE. Returns whether there were any. */
+/* Refuses waiting requests whose deadline has passed. Returns whether there were any. */
 bool requests_expire(struct requests *requests);
 
 /* Refuses the requests that wait for a preparation: their client seems to have gone. Returns whether

@@ -44,22 +44,22 @@ static enum job_outcome start_table(struct job *job, const struct job_request *f
   return JOB_GOES_ON;
 }
 
-static enum lookup_answer get_thing(struct table *table) {
+static enum lookup_state get_thing(struct table *table) {
   struct profiles *profiles = &table->job.context->profiles;
   const core_medium *medium = table->request.layers;
   if (table_is_surface(&table->request)) {
     const wire_table_request *fixed = &table->request.fixed;
-    const enum lookup_answer answer =
+    const enum lookup_state state =
         varyings_get(&profiles->lookups, &table->surface, fixed->model, fixed->moments,
                      CORE_EVALUATOR_F32, &table->request.parameters, medium->g, medium->eta);
     table->lookup.fault = table->surface.fault;
-    return answer;
+    return state;
   }
-  const enum lookup_answer answer =
+  const enum lookup_state state =
       profiles_get_ruler(profiles, &table->ruler, table->request.fixed.model,
                          &table->request.parameters, medium, false);
   table->lookup.fault = table->ruler.fault;
-  return answer == LOOKUP_READY ? profiles_get(profiles, &table->lookup, medium) : answer;
+  return state == LOOKUP_READY ? profiles_get(profiles, &table->lookup, medium) : state;
 }
 
 static enum job_outcome step_table(struct job *job, uint64_t *budget) {

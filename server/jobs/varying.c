@@ -97,12 +97,12 @@ static enum job_outcome prepare_ruler(struct varying_job *varying) {
   struct job *job = &varying->job;
   const wire_varying_request *fixed = &varying->request.fixed;
   const core_parameters none = core_parameters_none();
-  const enum lookup_answer answer =
+  const enum lookup_state state =
       varyings_get(&job->context->profiles.lookups, &varying->ruler, CORE_MODEL_TRANSPORT,
                    CORE_MOMENTS_EXACT, fixed->evaluator, &none, fixed->g, fixed->eta);
-  if (answer != LOOKUP_FAULT || lookup_is_busy(varying->ruler.fault)) {
-    varying->compares = answer == LOOKUP_WAIT;
-    return job_follow(job, answer, &varying->ruler.fault, 0);
+  if (state != LOOKUP_FAULT || lookup_is_busy(varying->ruler.fault)) {
+    varying->compares = state == LOOKUP_WAIT;
+    return job_follow(job, state, &varying->ruler.fault, 0);
   }
   varying->compares = false;
   return JOB_GOES_ON;
@@ -115,10 +115,10 @@ static enum job_outcome prepare_media(struct varying_job *varying) {
   const wire_varying_request *fixed = &request->fixed;
   enum job_outcome outcome = varying->compares ? prepare_ruler(varying) : JOB_GOES_ON;
   if (outcome == JOB_GOES_ON) {
-    const enum lookup_answer answer =
+    const enum lookup_state state =
         varyings_get(&job->context->profiles.lookups, &varying->lookup, fixed->model,
                      fixed->moments, fixed->evaluator, &request->parameters, fixed->g, fixed->eta);
-    outcome = job_follow(job, answer, &varying->lookup.fault, 0);
+    outcome = job_follow(job, state, &varying->lookup.fault, 0);
   }
   if (outcome != JOB_GOES_ON) {
     return outcome;

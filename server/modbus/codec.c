@@ -252,7 +252,7 @@ static bool is_there(unsigned id) {
 
 /* Returns whether an object goes into the reply. A request for all objects of a kind gets those
  * from object `id` on, or all if there is no object `id`. */
-static bool is_asked_for(const struct object *object, unsigned code, unsigned id) {
+static bool is_requested(const struct object *object, unsigned code, unsigned id) {
   if (code == INDIVIDUAL) {
     return object->id == id;
   }
@@ -276,7 +276,7 @@ size_t modbus_identity_read(const uint8_t *pdu, uint8_t *reply, unsigned *except
   memcpy(reply, head, sizeof head);
   size_t bytes = sizeof head;
   for (size_t i = 0; i < OBJECTS; i++) {
-    if (is_asked_for(&objects[i], code, id)) {
+    if (is_requested(&objects[i], code, id)) {
       reply[6]++;
       reply[bytes++] = (uint8_t)objects[i].id;
       const size_t length = put_text(reply + bytes + 1, objects[i].value);

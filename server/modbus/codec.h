@@ -28,7 +28,7 @@ struct modbus_request {
 };
 
 /* Reads the PDU of a request; its first byte is less than 0x80. Returns 0, or the exception that
- * answers the request. */
+ * serves the request. */
 unsigned modbus_pdu_parse(const uint8_t *pdu, size_t bytes, struct modbus_request *request);
 
 /* Returns the length of the request's PDU that begins with these bytes. Returns 0 if there are too

@@ -107,7 +107,7 @@ static void on_sent(void *owner, uint64_t bytes) {
   worker_run_later(&c->client);
 }
 
-/* ---- answering ------------------------------------------------------------------------------- */
+/* ---- serving ------------------------------------------------------------------------------- */
 
 /* Returns the unit of a number in a frame, or 0 if there is no such unit. Masters that know no
  * units send 0 or 255, which mean unit 1. */
@@ -149,7 +149,7 @@ static void handle_frame(struct modbus_connection *c, const uint8_t *frame, size
   }
 }
 
-/* Answers the frame whose commit has been evaluated. */
+/* Serves the frame whose commit has been evaluated. */
 static void reply_late(struct modbus_connection *c) {
   const uint8_t *frame = c->input + c->begin;
   const size_t replied_bytes =
@@ -178,7 +178,7 @@ static bool is_frame(const uint8_t *frame, unsigned bytes) {
          (bytes <= HEADER_BYTES || frame[HEADER_BYTES] < 0x80);
 }
 
-/* Answers the next frame. Returns false if it has not arrived completely. */
+/* Serves the next frame. Returns false if it has not arrived completely. */
 static bool take_frame(struct modbus_connection *c) {
   const uint8_t *frame = c->input + c->begin;
   const unsigned bytes = c->end - c->begin;
@@ -193,7 +193,7 @@ static bool take_frame(struct modbus_connection *c) {
   return true;
 }
 
-/* One turn: answers the frames that have arrived, up to the first whose job goes into the batch. */
+/* One turn: serves the frames that have arrived, up to the first whose job goes into the batch. */
 static void run_turn(struct client *client) {
   struct modbus_connection *c = connection_of(client);
   while (!c->closing && !c->ending && c->waits_for == NULL && !has_unsent(c) && c->begin < c->end &&
@@ -213,7 +213,7 @@ static void note_partial_frame(struct modbus_connection *c) {
 
 /* ---- reading --------------------------------------------------------------------------------- */
 
-/* The input has room for the rest of any frame when all complete frames have been answered. */
+/* The input has room for the rest of any frame when all complete frames have been served. */
 static size_t find_room(void *owner, uint8_t **room) {
   struct modbus_connection *c = owner;
   if (c->begin > 0) {
@@ -244,7 +244,7 @@ static void on_received(void *owner, ssize_t bytes) {
   worker_run_later(&c->client);
 }
 
-/* Reads on, or ends the connection, after a turn has answered all frames that it can. */
+/* Reads on, or ends the connection, after a turn has served all frames that it can. */
 static void read_on_or_end(struct modbus_connection *c) {
   if (has_unsent(c)) {
     transport_set_reading(&c->transport, false);

@@ -1,7 +1,7 @@
 /* connection: one Modbus master over TCP or TLS, as a client of the worker. It cuts the stream into
- * frames, answers them in their order, and writes the replies without ever waiting for the peer.
+ * frames, serves them in their order, and writes the replies without ever waiting for the peer.
  *
- * While a reply has not been written whole, the connection neither answers further requests nor
+ * While a reply has not been written whole, the connection neither serves further requests nor
  * reads. So it keeps at most one reply, and a master that does not read costs no more memory than
  * this structure.
  */
@@ -29,12 +29,12 @@ struct modbus_connection {
   struct modbus_unit *waits_for; /* the unit that evaluates the first frame; NULL: there is none */
   bool stopping;                 /* whether the peer has closed, or the daemon stops */
   unsigned unread; /* bytes that had arrived when the daemon began to stop: they are still read */
-  bool ending;     /* whether to answer no more frames, and to close after the last reply */
+  bool ending;     /* whether to serve no more frames, and to close after the last reply */
   bool closing;    /* whether uv_close() has been called */
 
   uint64_t active_ms;        /* when bytes were last received or sent */
   uint64_t frame_started_ms; /* when the incomplete frame began to arrive; 0: there is none */
-  unsigned begin;            /* start of the input that has not been answered */
+  unsigned begin;            /* start of the input that has not been served */
   unsigned end;
   unsigned unsent_begin; /* start of the part of the reply that has not been written */
   unsigned unsent_end;

@@ -48,7 +48,7 @@ static void write_output(struct modbus_line *line, int fd) {
     stats_add(stats_of(line), STATS_SENT_BYTES, (uint64_t)sent);
   }
   if (sent < 0 || (size_t)sent < count) {
-    log_peer_line(LOG_LEVEL_INFO, "event=modbus-answer-lost device=%s reason=%s", line->device.path,
+    log_peer_line(LOG_LEVEL_INFO, "event=modbus-reply-lost device=%s reason=%s", line->device.path,
                   sent < 0 ? strerror(errno) : "the device's buffer is full");
   }
 }
@@ -149,7 +149,7 @@ static void end_probe(struct modbus_line *line) {
   }
 }
 
-/* ---- answering ------------------------------------------------------------------------------- */
+/* ---- serving ------------------------------------------------------------------------------- */
 
 static size_t request_pdu_bytes(const struct modbus_line *line) {
   return line->burst.bytes - 3;
@@ -182,7 +182,7 @@ static void handle_request(struct modbus_line *line) {
   }
 }
 
-/* Answers the request whose commit has been evaluated. */
+/* Serves the request whose commit has been evaluated. */
 static void reply_late(struct modbus_line *line) {
   const size_t replied_bytes = modbus_late_reply(line->waits_for, line->burst.request + 1,
                                                  request_pdu_bytes(line), line->output + 1);
@@ -199,7 +199,7 @@ static void note_burst(struct modbus_line *line) {
   }
 }
 
-/* Called after a silence: answers a request in the bytes that have arrived. */
+/* Called after a silence: serves a request in the bytes that have arrived. */
 static void run_turn(struct client *client) {
   struct modbus_line *line = line_of(client);
   if (!is_open(line) || line->waits_for != NULL || line->probing || line->sending) {
@@ -421,7 +421,7 @@ static void finish_turn(struct client *client) {
   }
 }
 
-/* Stops the line. A request that has been sent is still answered, after a silence, because a device
+/* Stops the line. A request that has been sent is still served, after a silence, because a device
  * may deliver its bytes late. */
 static void stop_client(struct client *client) {
   struct modbus_line *line = line_of(client);

@@ -4,7 +4,7 @@
 #include <string.h>
 
 /* After this many equal replies, the receiver learns again whether there is an echo. If it were
- * wrong about the echo, the daemon could answer itself forever. */
+ * wrong about the echo, the daemon could reply to itself forever. */
 enum { REPEATS_MOST = 64 };
 
 /* Drops the first bytes that are kept. */

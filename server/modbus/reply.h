@@ -30,7 +30,7 @@ size_t modbus_late_reply(const struct modbus_unit *unit, const uint8_t *pdu, siz
                          uint8_t reply[MODBUS_PDU_MAX]);
 
 /* Logs a request that was refused. Does nothing unless the reply is an exception. number: of the
- * unit, as in the request. key, from: who has asked, as "peer" and its address. */
+ * unit, as in the request. key, from: who has sent it, as "peer" and its address. */
 void modbus_log_refusal(const uint8_t *pdu, size_t bytes, const uint8_t *reply, unsigned number,
                         const char *key, const char *from);
 

@@ -362,10 +362,10 @@ static struct values array_of(const uint8_t *reply, const eval_layout *layout,
 
 static void take_eval(const uint8_t *request, const uint8_t *reply, size_t reply_bytes,
                       uint16_t image[REGISTERS_END]) {
-  wire_eval_request asked;
+  wire_eval_request fixed;
   wire_eval_reply start;
   eval_layout layout;
-  wire_get_eval_request(request, &asked);
+  wire_get_eval_request(request, &fixed);
   wire_get_eval_reply(reply, &start);
   const unsigned count = (unsigned)start.count;
   const bool fits =
@@ -373,8 +373,8 @@ static void take_eval(const uint8_t *request, const uint8_t *reply, size_t reply
   assert(fits && count <= REGISTERS_RADII_MAX);
 
   double room[REGISTERS_RADII_MAX];
-  asked.evaluator = start.evaluator;
-  const struct values radii = radii_of(request, &asked, room);
+  fixed.evaluator = start.evaluator;
+  const struct values radii = radii_of(request, &fixed, room);
   const struct values R = array_of(reply, &layout, &start, CORE_QUANTITY_R);
   const struct values cdf = array_of(reply, &layout, &start, CORE_QUANTITY_CDF);
   const struct values S = array_of(reply, &layout, &start, CORE_QUANTITY_S);
@@ -486,14 +486,14 @@ static void take_mc(const uint8_t *request, const uint8_t *reply, size_t reply_b
 /* Names the reading that is wrong. A ratio that is not finite was divided by a reference reading of
  * 0. */
 static wire_error wrong_reading(const uint8_t *request, const wire_fitted *fitted) {
-  double asked;
+  double reading;
   schema_layout layout;
   schema_lay_out(&schema_fit_request, request, UINT64_MAX, &layout, NULL);
-  memcpy(&asked, request + layout.parts[FIT_VALUES].at + fitted->index * sizeof asked,
-         sizeof asked);
+  memcpy(&reading, request + layout.parts[FIT_VALUES].at + fitted->index * sizeof reading,
+         sizeof reading);
   const bool value = fitted->field == 1;
   wire_error error;
-  if (value && !isfinite(asked)) {
+  if (value && !isfinite(reading)) {
     error = wire_error_make(WIRE_STATUS_BAD_VALUE, "reference_reading", "above 0");
   } else {
     error = wire_error_make(WIRE_STATUS_BAD_VALUE, "reading",

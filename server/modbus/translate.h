@@ -1,5 +1,5 @@
 /* translate: for each kind of job, makes a request of the binary protocol from the input registers,
- * and fills the output registers from the reply. So the same code answers both protocols, with the
+ * and fills the output registers from the reply. So the same code serves both protocols, with the
  * same bits.
  */
 #ifndef DIPOLED_MODBUS_TRANSLATE_H

@@ -6,9 +6,9 @@
  * requests, like the jobs of its other clients.
  *
  * Writing to a register `commit` starts a job (server/modbus/task.h). If the job takes longer than
- * a slice, its register `status` says busy meanwhile, and the master asks again. Otherwise the
+ * a slice, its register `status` says busy meanwhile, and the master reads again. Otherwise the
  * values are in the worker's batch, and the master gets its reply when the worker has evaluated
- * the batch. A fit takes some slices, but instruments ask once: if its design is prepared, the
+ * the batch. A fit takes some slices, but instruments read once: if its design is prepared, the
  * reply waits for it, up to MODBUS_FIT_MS and until another request names the unit.
  */
 #ifndef DIPOLED_MODBUS_UNIT_H

@@ -277,7 +277,7 @@ bool input_has_frame(const struct input *input) {
 
 /* ---- output ---------------------------------------------------------------------------------- */
 
-/* A chunk holds a few hundred small answers, which one system call then writes. */
+/* A chunk holds a few hundred small replies, which one system call then writes. */
 enum { CHUNK_BYTES = 65536, SPARES_MOST = 16 };
 
 struct output_chunk {
@@ -297,7 +297,7 @@ static void free_chunk(struct output *output, struct output_chunk *chunk) {
   free(chunk);
 }
 
-/* Removes the first chunk. Keeps small ones for the next answers. */
+/* Removes the first chunk. Keeps small ones for the next replies. */
 static void release_first(struct output *output) {
   struct output_chunk *chunk = output->first;
   output->first = chunk->next;

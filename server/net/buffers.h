@@ -1,8 +1,8 @@
 /* buffers: the bytes of one connection between its socket and its requests.
  *
  * The input holds bytes that have arrived and have not been dealt with, as frames. Payloads are
- * used in place. The output holds answers that wait to be written, in chunks. Kernels write their
- * results into a chunk and the socket reads them from there, so nothing is copied. Small answers
+ * used in place. The output holds replies that wait to be written, in chunks. Kernels write their
+ * results into a chunk and the socket reads them from there, so nothing is copied. Small replies
  * share a chunk; a large one has its own. The input and the output count against a budget of
  * bytes: the server's, unless the owner sets another one before it uses them.
  */

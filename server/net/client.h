@@ -14,7 +14,7 @@
  *      Then it calls finish(), which may write the results and call worker_run_later() again.
  *   4. A client whose values are in the batch although its run() was not called in this round calls
  *      worker_finish_later(): the worker then calls its finish() at the end of this round.
- *   5. When the daemon stops, the worker calls stop(). The client answers what has arrived and ends
+ *   5. When the daemon stops, the worker calls stop(). The client serves what has arrived and ends
  *      itself. After the drain timeout the worker calls abort(), after which it ends at once.
  *   6. A client that has ended (its handles are closed) calls worker_forget(), and may then free
  *      itself. The worker's thread ends when stop() has been called and no client is left.

@@ -16,7 +16,7 @@ enum {
   REST_MS = 1000,       /* the silence after which the connection releases its buffers */
   HANG_UP_MS = 1000,    /* how long preparations go on for a peer that has ended its side */
   REPORT_MS = 10000,    /* the silence after which a waiting client is told of the work */
-  LINGER_MS = 1000,     /* how long the peer may take to close after the last answer */
+  LINGER_MS = 1000,     /* how long the peer may take to close after the last reply */
 };
 
 struct connection {
@@ -34,7 +34,7 @@ struct connection {
 
   bool more_to_do;    /* whether frames or their work were left at the end of the last turn */
   bool detached_more; /* whether detached requests have work left */
-  bool stopping;      /* whether the daemon stops: the connection then ends after its last answer */
+  bool stopping;      /* whether the daemon stops: the connection then ends after its last reply */
   bool peer_done;     /* whether the peer has shut down its side, so that nothing more arrives */
   bool closing;       /* whether uv_close() has been called */
 
@@ -181,7 +181,7 @@ static bool is_ready(const struct connection *c, short events, short ready) {
   return poll(&peer, 1, 0) > 0 && (peer.revents & ready) != 0;
 }
 
-/* Returns whether the peer of a Unix socket has closed both of its sides: nobody reads the answers.
+/* Returns whether the peer of a Unix socket has closed both of its sides: nobody reads the replies.
  * TCP does not tell that from the end of the sending side. */
 static bool has_hung_up(const struct connection *c) {
   return is_ready(c, 0, POLLHUP | POLLERR);
@@ -195,9 +195,9 @@ static bool is_gone(const struct connection *c, uint64_t now_ms) {
   return domain == AF_UNIX ? has_hung_up(c) : now_ms - c->active_ms > HANG_UP_MS;
 }
 
-/* Takes the bytes that have been read; the connection answers their requests in the same round of
+/* Takes the bytes that have been read; the connection serves their requests in the same round of
  * the loop. It stops reading only if work is left after that, so that a client that waits for each
- * answer costs no calls to stop and start reading. */
+ * reply costs no calls to stop and start reading. */
 static void on_received(void *owner, ssize_t bytes) {
   struct connection *c = owner;
   if (bytes > 0) {
@@ -287,7 +287,7 @@ static bool awaits_detached(struct connection *c) {
          requests_stop_detached(&c->requests, c->peer_done ? JOB_CANCELLED : JOB_DAEMON_STOPS);
 }
 
-/* Called when all complete frames have been answered. If the peer is done or the daemon stops,
+/* Called when all complete frames have been served. If the peer is done or the daemon stops,
  * sends the last error, if any, and takes no more frames. */
 static void end_if_done(struct connection *c) {
   if (c->requests.ended || output_is_full(&c->output) || awaits_detached(c)) {

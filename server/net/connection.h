@@ -1,5 +1,5 @@
 /* connection: one client of the binary protocol. It reads bytes, calls server/jobs/requests.h to
- * answer the requests in them, and writes the answers. It ends when the peer is done, is too slow
+ * serve the requests in them, and writes the replies. It ends when the peer is done, is too slow
  * or too silent, or when the daemon stops. */
 #ifndef DIPOLED_CONNECTION_H
 #define DIPOLED_CONNECTION_H

@@ -69,7 +69,7 @@ static void refuse_at_once(struct server *server, int fd, struct tls_session *se
   const ssize_t sent = session != NULL ? tls_session_write(session, frame, sizeof frame)
                                        : send(fd, frame, sizeof frame, MSG_NOSIGNAL | MSG_DONTWAIT);
   if (sent == (ssize_t)sizeof frame) {
-    stats_count_answer(&server->stats, error.status);
+    stats_count_reply(&server->stats, error.status);
   }
   if (session != NULL) {
     tls_session_free(session);

@@ -71,7 +71,7 @@ static void describe_fault(char why[TLS_WHY_BYTES]) {
   ERR_clear_error();
 }
 
-/* Keys with a password are refused: OpenSSL would ask at the terminal. */
+/* Keys with a password are refused: OpenSSL would prompt at the terminal. */
 static int no_password(char *password, int bytes, int writing, void *unused) {
   (void)password, (void)bytes, (void)writing, (void)unused;
   password_wanted = true;

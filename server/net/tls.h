@@ -67,7 +67,7 @@ ssize_t tls_session_read(struct tls_session *session, void *to, size_t bytes);
 ssize_t tls_session_write(struct tls_session *session, const void *from, size_t bytes);
 
 /* Returns whether the last call waits until the socket can be written to; also a read does, which
- * has to answer an update of keys first. */
+ * has to reply to an update of keys first. */
 bool tls_session_is_blocked(const struct tls_session *session);
 
 /* Tells the peer that nothing more is sent. */

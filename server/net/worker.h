@@ -6,7 +6,7 @@
  *   1. reads what has arrived for all of its clients,
  *   2. gives each client that something has arrived for one turn of bounded length,
  *   3. evaluates the short requests of these clients together (server/jobs/batch.h),
- *   4. writes their answers,
+ *   4. writes their replies,
  *   5. does the same for the clients that go on with work of earlier rounds.
  * A large request takes one slice in each turn. So a short request waits for one slice, and one
  * write of bounded size, of each client with a large one.
@@ -71,7 +71,7 @@ int worker_start(struct worker *worker, struct server *server);
 
 /* Call these from any thread. worker_give() hands over a client (server/net/client.h). */
 void worker_give(struct worker *worker, struct client *client);
-void worker_stop(struct worker *worker); /* answers all requests, ends all clients and the thread */
+void worker_stop(struct worker *worker); /* serves all requests, ends all clients and the thread */
 void worker_join(struct worker *worker);
 
 /* Clients call the functions that follow, on the worker's thread only. */

@@ -1,5 +1,5 @@
 /* health: whether the daemon serves, and whether new clients should come to it: what /healthz and
- * /readyz answer at --metrics and --http. Any thread may call these functions. */
+ * /readyz respond at --metrics and --http. Any thread may call these functions. */
 #ifndef DIPOLED_HEALTH_H
 #define DIPOLED_HEALTH_H
 

@@ -1,5 +1,5 @@
 /* latency: measures how long requests take. A latency begins when the worker has read the request's
- * last byte from the socket. It ends when all parts of the answer have been written to the socket
+ * last byte from the socket. It ends when all parts of the reply have been written to the socket
  * or, for a slow reader, are ready to be written.
  *
  * The worker reads the clock once when a round of its loop first reads, and once at the end of the
@@ -65,7 +65,7 @@ enum latency_class {
 
 enum { LATENCY_REPLIES = 64 };
 
-/* A request that is answered in the current round. */
+/* A request that is served in the current round. */
 struct latency_reply {
   enum latency_class kind;
   uint64_t arrived_ns;
@@ -78,11 +78,11 @@ struct latency {
   struct histogram histograms[LATENCY_CLASSES];
 };
 
-/* Notes that a request that arrived at arrived_ns is answered in the current round, unless its class
+/* Notes that a request that arrived at arrived_ns is served in the current round, unless its class
  * is NONE. */
 void latency_note(struct latency *latency, enum latency_class kind, uint64_t arrived_ns);
 
-/* Adds the latencies of the current round, whose answers have been written, to the histograms. */
+/* Adds the latencies of the current round, whose replies have been written, to the histograms. */
 void latency_finish(struct latency *latency);
 
 #endif

@@ -148,7 +148,7 @@ static char *make_text(const struct server *server, double start_s) {
   return memory;
 }
 
-/* ---- answering ------------------------------------------------------------------------------- */
+/* ---- serving ------------------------------------------------------------------------------- */
 
 /* A connection that is open. */
 struct holder {
@@ -243,7 +243,7 @@ static enum MHD_Result on_request(void *context, struct MHD_Connection *connecti
 }
 
 /* The library accepts nothing while it has its most connections, or no descriptor is left. So the
- * last connection ends the oldest, and a probe is answered however many clients are silent. */
+ * last connection ends the oldest, and a probe is served however many clients are silent. */
 static void on_connection(void *context, struct MHD_Connection *connection, void **state,
                           enum MHD_ConnectionNotificationCode what) {
   struct port *port = context;

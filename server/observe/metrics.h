@@ -13,7 +13,7 @@ struct metrics;
  * NULL. */
 struct metrics *metrics_open(struct server *server, const char *address);
 
-/* Stops the server and cuts off answers that are not complete. `metrics` may be NULL. */
+/* Stops the server and cuts off replies that are not complete. `metrics` may be NULL. */
 void metrics_close(struct metrics *metrics);
 
 #endif

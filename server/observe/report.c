@@ -66,7 +66,7 @@ static void report_replies(const struct reporter *to) {
                                               "replies, by status; ok or an error"};
 #define WIRE_STATUS(code, IDENT, modbus_exception, http, name, text)                               \
   report(to, "replies_" name, &family, "_total", "status=\"" name "\"",                            \
-         counted(to, STATS_ANSWERS_##IDENT));
+         counted(to, STATS_REPLIES_##IDENT));
 #include "proto/statuses.def"
 #undef WIRE_STATUS
 }
@@ -130,7 +130,7 @@ static void report_histogram(const struct reporter *to, const char *kind, const 
                              const char *count_name, const struct histogram_sum *sum) {
   static const struct report_family family = {
       "latency_seconds", REPORT_HISTOGRAM,
-      "from a request's last byte to its answer, by class of request"};
+      "from a request's last byte to its reply, by class of request"};
   char labels[80];
   for (unsigned octave = OCTAVE_FIRST; octave <= OCTAVE_LAST; octave++) {
     snprintf(labels, sizeof labels, "class=\"%s\",le=\"%.9f\"", kind,

@@ -3,13 +3,13 @@
 _Thread_local unsigned stats_shard;
 
 #define WIRE_STATUS(code, IDENT, modbus_exception, http, name, text)                               \
-  _Static_assert(STATS_ANSWERS_##IDENT == STATS_ANSWERS_OK + (code), "in the order of their "      \
+  _Static_assert(STATS_REPLIES_##IDENT == STATS_REPLIES_OK + (code), "in the order of their "      \
                                                                      "codes");
 #include "proto/statuses.def"
 #undef WIRE_STATUS
 
-void stats_count_answer(struct stats *stats, unsigned status) {
-  stats_add(stats, (enum stats_index)(STATS_ANSWERS_OK + status), 1);
+void stats_count_reply(struct stats *stats, unsigned status) {
+  stats_add(stats, (enum stats_index)(STATS_REPLIES_OK + status), 1);
 }
 
 void stats_count_radii(struct stats *stats, unsigned model, uint64_t radii) {

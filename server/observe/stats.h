@@ -15,7 +15,7 @@ enum stats_index {
 #include "server/observe/stats.def"
 #define WIRE_MESSAGE(type, IDENT, name, ...) STATS_REQUESTS_##IDENT,
 #include "proto/messages.def"
-#define WIRE_STATUS(code, IDENT, modbus_exception, http, name, text) STATS_ANSWERS_##IDENT,
+#define WIRE_STATUS(code, IDENT, modbus_exception, http, name, text) STATS_REPLIES_##IDENT,
 #include "proto/statuses.def"
 #undef WIRE_STATUS
   STATS_RADII, /* first counter of the radii by model */
@@ -75,7 +75,7 @@ static inline uint64_t stats_get(const struct stats *stats, enum stats_index ind
   return sum;
 }
 
-void stats_count_answer(struct stats *stats, unsigned status); /* of proto/statuses.def */
+void stats_count_reply(struct stats *stats, unsigned status); /* of proto/statuses.def */
 void stats_count_radii(struct stats *stats, unsigned model,
                        uint64_t radii);                         /* of core/models.def */
 void stats_count_batch(struct stats *stats, uint64_t requests); /* at least 1 */

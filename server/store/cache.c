@@ -363,16 +363,16 @@ static struct cache_entry *new_entry(struct cache *cache, const struct cache_key
   return entry;
 }
 
-static enum lookup_answer refuse_lookup(struct lookup *lookup, const char *field,
-                                        const char *allowed) {
+static enum lookup_state refuse_lookup(struct lookup *lookup, const char *field,
+                                       const char *allowed) {
   lookup->fault = (core_fault){field, allowed, 0};
   return LOOKUP_FAULT;
 }
 
 /* Sets lookup->entry to a reference if the thing is there. *is_new: whether the entry is new and fast,
  * so that the caller has to prepare it. */
-static enum lookup_answer look_up(struct cache *cache, struct lookups *at, struct lookup *lookup,
-                                  const struct cache_key *key, bool slow, bool *is_new) {
+static enum lookup_state look_up(struct cache *cache, struct lookups *at, struct lookup *lookup,
+                                 const struct cache_key *key, bool slow, bool *is_new) {
   struct cache_entry *entry = find_entry(cache, key);
   const bool new = entry == NULL;
   if (new && key->kind->hold != NULL && key->source == NULL) {
@@ -594,27 +594,27 @@ static void leave_entry(struct lookup *lookup) {
   cache_release(entry);
 }
 
-static enum lookup_answer look_up_first(struct lookups *lookups, struct lookup *lookup,
-                                        const struct cache_key *key, bool slow, bool counted) {
+static enum lookup_state look_up_first(struct lookups *lookups, struct lookup *lookup,
+                                       const struct cache_key *key, bool slow, bool counted) {
   struct cache *cache = lookups->server->cache;
   bool is_new = false;
   uv_mutex_lock(&cache->mutex);
-  const enum lookup_answer answer = look_up(cache, lookups, lookup, key, slow, &is_new);
+  const enum lookup_state state = look_up(cache, lookups, lookup, key, slow, &is_new);
   uv_mutex_unlock(&cache->mutex);
   if (counted) {
-    lookup_count(lookups, answer == LOOKUP_READY && !is_new);
+    lookup_count(lookups, state == LOOKUP_READY && !is_new);
   }
   if (is_new) {
     cache_prepare(lookup->entry);
-  } else if (answer == LOOKUP_WAIT && lookups->loop != NULL) {
+  } else if (state == LOOKUP_WAIT && lookups->loop != NULL) {
     prepare_in_pool(cache, lookups->loop);
   }
-  return answer;
+  return state;
 }
 
-enum lookup_answer lookup_get(struct lookups *lookups, struct lookup *lookup,
-                              const struct cache_key *key, bool slow, bool counted) {
-  enum lookup_answer answer = LOOKUP_READY;
+enum lookup_state lookup_get(struct lookups *lookups, struct lookup *lookup,
+                             const struct cache_key *key, bool slow, bool counted) {
+  enum lookup_state state = LOOKUP_READY;
   assert(lookup->entry == NULL);
   if (lookup->awaited != NULL) { /* The entry is valid even if it has been evicted since. */
     assert(lookup->woken);
@@ -622,15 +622,15 @@ enum lookup_answer lookup_get(struct lookups *lookups, struct lookup *lookup,
     lookup->entry = lookup->awaited;
     leave_entry(lookup);
   } else {
-    answer = look_up_first(lookups, lookup, key, slow, counted);
+    state = look_up_first(lookups, lookup, key, slow, counted);
   }
-  if (answer == LOOKUP_READY && lookup->entry->fault.field != NULL) {
+  if (state == LOOKUP_READY && lookup->entry->fault.field != NULL) {
     lookup->fault = lookup->entry->fault;
     lookup_end(lookup);
-    answer = LOOKUP_FAULT;
+    state = LOOKUP_FAULT;
   }
-  lookup->admitted |= answer != LOOKUP_FAULT;
-  return answer;
+  lookup->admitted |= state != LOOKUP_FAULT;
+  return state;
 }
 
 void lookup_end(struct lookup *lookup) {

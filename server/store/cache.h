@@ -44,7 +44,7 @@ struct cache_kind {
   size_t thing_bytes; /* size of the thing's structure */
 
   /* Prepares a thing, all of whose bytes are 0, from its key and nothing else, so that the bits do not
-   * depend on who asks first. May give up with CORE_FIELD_STOPPED when *stop is set. */
+   * depend on who needs it first. May give up with CORE_FIELD_STOPPED when *stop is set. */
   core_fault (*prepare)(void *thing, const struct cache_key *key, const core_isa *isa,
                         const atomic_bool *stop);
   void (*free)(void *thing);            /* frees what the thing owns */
@@ -58,7 +58,7 @@ struct cache_kind {
 };
 
 /* What a thing is found by, and prepared from. Two keys are the same if their kinds and contents are:
- * contents have no padding. Who asks owns the content; an entry has a copy. */
+ * contents have no padding. The caller owns the content; an entry has a copy. */
 struct cache_key {
   const struct cache_kind *kind;
   const void *content;
@@ -130,12 +130,12 @@ struct cache *cache_new(const core_isa *isa, uint64_t limit_bytes, uint64_t apar
 /* Frees the cache. Asserts that nothing is being prepared and all references are released. */
 void cache_free(struct cache *cache);
 
-enum lookup_answer { LOOKUP_READY, LOOKUP_FAULT, LOOKUP_WAIT };
+enum lookup_state { LOOKUP_READY, LOOKUP_FAULT, LOOKUP_WAIT };
 
 /* Looks a thing up, which is prepared if it has to be: here, unless it is slow. counted: whether the
  * statistics of the cache count that. */
-enum lookup_answer lookup_get(struct lookups *lookups, struct lookup *lookup,
-                              const struct cache_key *key, bool slow, bool counted);
+enum lookup_state lookup_get(struct lookups *lookups, struct lookup *lookup,
+                             const struct cache_key *key, bool slow, bool counted);
 
 /* Returns what LOOKUP_READY has found; NULL if there is nothing. */
 const void *lookup_thing(const struct lookup *lookup);

@@ -206,8 +206,8 @@ static const struct cache_kind kind = {.thing_bytes = sizeof(core_gather_points 
                                        .release = release,
                                        .apart = true};
 
-enum lookup_answer points_get(struct lookups *lookups, struct lookup *lookup, const uint64_t set[2],
-                              struct points *points) {
+enum lookup_state points_get(struct lookups *lookups, struct lookup *lookup, const uint64_t set[2],
+                             struct points *points) {
   const struct cache_key key = {.kind = &kind,
                                 .content = set,
                                 .content_bytes = 2 * sizeof set[0],

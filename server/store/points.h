@@ -63,8 +63,8 @@ void points_release(struct points *points);
 
 /* Looks the tree of a set up. points: what it is built from if the cache does not have it, of which a
  * new entry takes a reference; NULL: the set is then at fault. */
-enum lookup_answer points_get(struct lookups *lookups, struct lookup *lookup, const uint64_t set[2],
-                              struct points *points);
+enum lookup_state points_get(struct lookups *lookups, struct lookup *lookup, const uint64_t set[2],
+                             struct points *points);
 
 /* Returns the tree that points_get() has found, until lookup_return(); NULL if there is none. */
 static inline const core_gather_points *points_found(const struct lookup *lookup) {

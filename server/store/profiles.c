@@ -179,8 +179,8 @@ static void set_place(struct profiles_lookup *lookup, struct profiles_slot *slot
       slot != NULL ? (struct profiles_place){slot, slot->version} : (struct profiles_place){0};
 }
 
-static enum lookup_answer get_from_table(struct profiles *profiles, struct profiles_lookup *lookup,
-                                         struct profiles_slot *slot) {
+static enum lookup_state get_from_table(struct profiles *profiles, struct profiles_lookup *lookup,
+                                        struct profiles_slot *slot) {
   lookup_count(&profiles->lookups, true);
   set_place(lookup, slot);
   lookup->profile = slot->profile;
@@ -193,7 +193,7 @@ static enum lookup_answer get_from_table(struct profiles *profiles, struct profi
 }
 
 /* Prepares a profile that does not go into the cache. */
-static enum lookup_answer prepare_here(struct profiles *profiles, struct profiles_lookup *lookup) {
+static enum lookup_state prepare_here(struct profiles *profiles, struct profiles_lookup *lookup) {
   struct server *server = profiles->lookups.server;
   lookup_count(&profiles->lookups, false);
   stats_add(&server->stats, STATS_CACHE_BUILDS, 1);
@@ -205,23 +205,22 @@ static enum lookup_answer prepare_here(struct profiles *profiles, struct profile
   return LOOKUP_READY;
 }
 
-static enum lookup_answer get_from_cache(struct profiles *profiles, struct profiles_lookup *lookup,
-                                         const core_medium *medium) {
+static enum lookup_state get_from_cache(struct profiles *profiles, struct profiles_lookup *lookup,
+                                        const core_medium *medium) {
   const struct cache_key key = profiles_cache_key(&lookup->key, &profiles_kind);
   const bool slow =
       core_prepares_slowly(lookup->key.model, lookup->key.evaluator, medium, &lookup->parameters);
-  const enum lookup_answer answer =
-      lookup_get(&profiles->lookups, &lookup->cached, &key, slow, true);
+  const enum lookup_state state = lookup_get(&profiles->lookups, &lookup->cached, &key, slow, true);
   lookup->fault = lookup->cached.fault;
-  if (answer == LOOKUP_READY) {
+  if (state == LOOKUP_READY) {
     lookup->profile = *(const core_profile *)lookup_thing(&lookup->cached);
     set_place(lookup, put_profile(profiles, &lookup->key, &lookup->profile, lookup->cached.entry));
   }
-  return answer;
+  return state;
 }
 
-static enum lookup_answer get_profile(struct profiles *profiles, struct profiles_lookup *lookup,
-                                      const core_medium *medium) {
+static enum lookup_state get_profile(struct profiles *profiles, struct profiles_lookup *lookup,
+                                     const core_medium *medium) {
   if (lookup->cached.awaited != NULL) {
     return get_from_cache(profiles, lookup, medium);
   }
@@ -242,22 +241,22 @@ void profiles_start(struct profiles_lookup *lookup, unsigned model, unsigned mom
   profiles_key_start(&lookup->key, model, moments, evaluator, parameters);
 }
 
-enum lookup_answer profiles_get(struct profiles *profiles, struct profiles_lookup *lookup,
-                                const core_medium *medium) {
+enum lookup_state profiles_get(struct profiles *profiles, struct profiles_lookup *lookup,
+                               const core_medium *medium) {
   assert(!lookup->ready);
   profiles_key_set_medium(&lookup->key, medium);
-  const enum lookup_answer answer = get_profile(profiles, lookup, medium);
-  lookup->ready = answer == LOOKUP_READY;
-  lookup->cached.admitted |= answer != LOOKUP_FAULT;
+  const enum lookup_state state = get_profile(profiles, lookup, medium);
+  lookup->ready = state == LOOKUP_READY;
+  lookup->cached.admitted |= state != LOOKUP_FAULT;
   if (lookup->ready) {
     core_profile_set_angles(&lookup->profile, &lookup->parameters);
   }
-  return answer;
+  return state;
 }
 
-enum lookup_answer profiles_get_ruler(struct profiles *profiles, struct profiles_lookup *lookup,
-                                      unsigned model, const core_parameters *parameters,
-                                      const core_medium *medium, bool solves) {
+enum lookup_state profiles_get_ruler(struct profiles *profiles, struct profiles_lookup *lookup,
+                                     unsigned model, const core_parameters *parameters,
+                                     const core_medium *medium, bool solves) {
   if (lookup->ready || !core_ruler_is_needed(model, parameters, medium, solves)) {
     return LOOKUP_READY;
   }

@@ -6,7 +6,7 @@
  * profile decides who prepares and who keeps it:
  *   1 to 2 us (dipoles, Burley): the worker prepares it itself and keeps it only in its table, so
  *     that no stream of such media evicts anything from the cache.
- *   25 to 500 us (single scattering, multipoles, quantized diffusion): the worker that asks first
+ *   25 to 500 us (single scattering, multipoles, quantized diffusion): the first worker in need
  *     prepares it. Cache and table keep it.
  *   milliseconds and more (transport, tables): a thread of libuv's pool prepares it, so that
  *     neither the worker nor another client's cheap request waits. Cache and table keep it.
@@ -110,15 +110,15 @@ void profiles_start(struct profiles_lookup *lookup, unsigned model, unsigned mom
 
 /* Gets the profile for a medium. The caller has returned the previous profile. After LOOKUP_WAIT
  * and on_ready(), call it again for the same medium. */
-enum lookup_answer profiles_get(struct profiles *profiles, struct profiles_lookup *lookup,
-                                const core_medium *medium);
+enum lookup_state profiles_get(struct profiles *profiles, struct profiles_lookup *lookup,
+                               const core_medium *medium);
 
 /* Gets the profile of transport that the model error of a model is computed from, if it needs one
- * (core/ruler.h); else the answer is READY, and lookup->ready is false. solves: it may be solved. In
+ * (core/ruler.h); else the state is READY, and lookup->ready is false. solves: it may be solved. In
  * place of profiles_start() and profiles_get(). */
-enum lookup_answer profiles_get_ruler(struct profiles *profiles, struct profiles_lookup *lookup,
-                                      unsigned model, const core_parameters *parameters,
-                                      const core_medium *medium, bool solves);
+enum lookup_state profiles_get_ruler(struct profiles *profiles, struct profiles_lookup *lookup,
+                                     unsigned model, const core_parameters *parameters,
+                                     const core_medium *medium, bool solves);
 
 /* Returns the profile to the store, or gives up waiting for it. Does nothing if there is neither.
  */

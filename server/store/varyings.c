@@ -26,9 +26,9 @@ static const struct cache_kind kind = {.thing_bytes = sizeof(core_varying),
                                        .free = free_varying,
                                        .bytes = bytes_of};
 
-enum lookup_answer varyings_get(struct lookups *lookups, struct lookup *lookup, unsigned model,
-                                unsigned moments, unsigned evaluator,
-                                const core_parameters *parameters, double g, double eta) {
+enum lookup_state varyings_get(struct lookups *lookups, struct lookup *lookup, unsigned model,
+                               unsigned moments, unsigned evaluator,
+                               const core_parameters *parameters, double g, double eta) {
   struct profiles_key from;
   profiles_key_start(&from, model, moments, evaluator, parameters);
   profiles_key_set_medium(&from, &(core_medium){0, 0, g, eta});

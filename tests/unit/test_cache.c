@@ -24,8 +24,8 @@ static const core_profile *profile_of(const struct lookup *lookup) {
   return lookup_thing(lookup);
 }
 
-static enum lookup_answer look(struct lookups *lookups, struct lookup *lookup,
-                               const struct profiles_key *key, bool slow) {
+static enum lookup_state look(struct lookups *lookups, struct lookup *lookup,
+                              const struct profiles_key *key, bool slow) {
   const struct cache_key plain = profiles_cache_key(key, &profiles_kind);
   return lookup_get(lookups, lookup, &plain, slow, false);
 }
@@ -82,16 +82,16 @@ static void ask(struct fixture *f, struct lookup *lookup, const struct profiles_
                 bool *was_there) {
   const uint64_t builds = count(f, STATS_CACHE_BUILDS);
   *lookup = new_lookup(&f->owner);
-  enum lookup_answer answer = look(&f->lookups, lookup, key, slow);
-  *was_there = answer == LOOKUP_READY && count(f, STATS_CACHE_BUILDS) == builds;
-  if (answer == LOOKUP_WAIT) {
+  enum lookup_state state = look(&f->lookups, lookup, key, slow);
+  *was_there = state == LOOKUP_READY && count(f, STATS_CACHE_BUILDS) == builds;
+  if (state == LOOKUP_WAIT) {
     assert_true(slow);
     take_turns(f->server.cache, 1);
     lookups_wake(&f->lookups);
     assert_true(lookup->woken);
-    answer = look(&f->lookups, lookup, key, slow);
+    state = look(&f->lookups, lookup, key, slow);
   }
-  assert_true(answer == LOOKUP_READY);
+  assert_true(state == LOOKUP_READY);
   assert_true(profile_of(lookup)->medium.sigma_a_per_mm == key->medium->sigma_a_per_mm);
 }
 

@@ -48,14 +48,14 @@ static double get_albedo(struct fixture *f, unsigned model, core_medium medium,
   struct profiles_lookup lookup = {
       .cached = {.on_ready = set_woken, .context = &woken, .owner = &owner}};
   profiles_start(&lookup, model, CORE_MOMENTS_EXACT, CORE_EVALUATOR_F64, parameters);
-  enum lookup_answer answer = profiles_get(&f->profiles, &lookup, &medium);
-  if (answer == LOOKUP_WAIT) {
+  enum lookup_state state = profiles_get(&f->profiles, &lookup, &medium);
+  if (state == LOOKUP_WAIT) {
     uv_run(&f->loop, UV_RUN_DEFAULT);
     lookups_wake(&f->profiles.lookups);
     assert_true(woken);
-    answer = profiles_get(&f->profiles, &lookup, &medium);
+    state = profiles_get(&f->profiles, &lookup, &medium);
   }
-  assert_int_equal(answer, LOOKUP_READY);
+  assert_int_equal(state, LOOKUP_READY);
   const double albedo = lookup.profile.albedo;
   *cos_in = lookup.profile.cos_in;
   profiles_return(&lookup);
