@@ -10,9 +10,10 @@ const registers_block registers_blocks[REGISTERS_BLOCKS] = {
 };
 
 const registers_job registers_jobs[REGISTERS_JOBS] = {
-#define REGISTERS_JOB(IDENT, MESSAGE, commit, cancel, deadline, status, place, progress,           \
-                      error_text)                                                                  \
-  {WIRE_TYPE_##MESSAGE, commit, cancel, deadline, status, place, progress, error_text},
+#define REGISTERS_JOB(MESSAGE, PREFIX, deadline, progress)                                         \
+  {WIRE_TYPE_##MESSAGE, REGISTERS_AT_##PREFIX##COMMIT, REGISTERS_AT_##PREFIX##CANCEL, deadline,    \
+   REGISTERS_AT_##PREFIX##STATUS, REGISTERS_AT_##PREFIX##PLACE, progress,                          \
+   REGISTERS_AT_##PREFIX##ERROR_TEXT},
 #include "proto/registers.def"
 };
 
@@ -21,8 +22,6 @@ const registers_field registers_fields[] = {
                         initial, about)                                                            \
   {address, count, REGISTERS_##TYPE, REGISTERS_##ACCESS, name, unit, least, most, list,            \
    initial, about},
-#define REGISTERS_STATISTIC(IDENT, address, name, about)                                           \
-  {address, 1, REGISTERS_U32, REGISTERS_RO, name, "", 0, 0, NULL, 0, about},
 #include "proto/registers.def"
     {0, 0, REGISTERS_U16, REGISTERS_RO, NULL, NULL, 0, 0, NULL, 0, NULL},
 };
@@ -43,10 +42,7 @@ unsigned registers_width(enum registers_type type) {
 }
 
 enum index {
-#define REGISTERS_FIELD(IDENT, address, count, TYPE, ACCESS, name, unit, least, most, list,        \
-                        initial, about)                                                            \
-  INDEX_##IDENT,
-#define REGISTERS_STATISTIC(IDENT, address, name, about) INDEX_STATISTIC_##IDENT,
+#define REGISTERS_FIELD(IDENT, ...) INDEX_##IDENT,
 #include "proto/registers.def"
   FIELDS
 };
@@ -60,11 +56,8 @@ static const uint8_t block_at[REGISTERS_END] = {
 };
 
 static const uint8_t field_at[REGISTERS_END] = {
-#define REGISTERS_FIELD(IDENT, address, count, TYPE, ACCESS, name, unit, least, most, list,        \
-                        initial, about)                                                            \
+#define REGISTERS_FIELD(IDENT, address, count, TYPE, ...)                                          \
   [(address)...(address) + (count)*WIDTH_##TYPE - 1] = 1 + INDEX_##IDENT,
-#define REGISTERS_STATISTIC(IDENT, address, name, about)                                           \
-  [(address)...(address) + 1] = 1 + INDEX_STATISTIC_##IDENT,
 #include "proto/registers.def"
 };
 
@@ -97,14 +90,12 @@ static unsigned unmirrored(unsigned address) {
 #define SWAP_BITS 0
 
 static const uint8_t swap_at[REGISTERS_END] = {
-#define REGISTERS_FIELD(IDENT, address, count, TYPE, ACCESS, name, unit, least, most, list,        \
-                        initial, about)                                                            \
+#define REGISTERS_FIELD(IDENT, address, count, TYPE, ...)                                          \
   [(address)...(address) + (count)*WIDTH_##TYPE - 1] = SWAP_##TYPE,
 #include "proto/registers.def"
 };
 
-#define REGISTERS_FIELD(IDENT, address, count, TYPE, ACCESS, name, unit, least, most, list,        \
-                        initial, about)                                                            \
+#define REGISTERS_FIELD(IDENT, address, count, TYPE, ...)                                          \
   _Static_assert(!SWAP_##TYPE || (address) % 2 == 0, "the mirror is found by the lowest bit");
 #include "proto/registers.def"
 

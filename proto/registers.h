@@ -42,19 +42,14 @@ enum {
 
 /* The kinds of jobs that a unit can have, from 0 on. */
 enum registers_job_kind {
-#define REGISTERS_JOB(IDENT, MESSAGE, commit, cancel, deadline, status, place, progress,           \
-                      error_text)                                                                  \
-  REGISTERS_JOB_##IDENT,
+#define REGISTERS_JOB(MESSAGE, ...) REGISTERS_JOB_##MESSAGE,
 #include "proto/registers.def"
   REGISTERS_JOBS
 };
 
 /* The PDU address of each field: REGISTERS_AT_COMMIT and so on. */
 enum registers_address {
-#define REGISTERS_FIELD(IDENT, address, count, TYPE, ACCESS, name, unit, least, most, list,        \
-                        initial, about)                                                            \
-  REGISTERS_AT_##IDENT = (address),
-#define REGISTERS_STATISTIC(IDENT, address, name, about) REGISTERS_AT_STATISTIC_##IDENT = (address),
+#define REGISTERS_FIELD(IDENT, address, ...) REGISTERS_AT_##IDENT = (address),
 #include "proto/registers.def"
 };
 

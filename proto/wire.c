@@ -4,6 +4,7 @@
 #include <string.h>
 
 #include "core/varying.h"
+#include "proto/schema.h"
 
 /* ---- structures ------------------------------------------------------------------------------ */
 
@@ -169,7 +170,7 @@ wire_error wire_error_not_in_list(const char *field, const core_choice *list, co
 
 /* ---- the list of choices --------------------------------------------------------------------- */
 
-static const core_choice wire_statuses[] = {
+const core_choice wire_statuses[] = {
 #define WIRE_STATUS(code, IDENT, modbus_exception, http, name, text) {code, name, text},
 #include "proto/statuses.def"
 #undef WIRE_STATUS

@@ -4,10 +4,12 @@
 #include <stdio.h>
 #include <string.h>
 
+#include "core/varying.h"
 #include "proto/registers.h"
 #include "proto/schema.h"
 
-/* Prints JSON, where ' stands for ", %s for a text or null, %u for an integer and %g for a number. */
+/* Prints JSON, where ' stands for ", %s for a text or null, %r for a text without quotes, %u for an
+ * integer and %g for a number. */
 static void print_form(const char *form, ...) {
   va_list arguments;
   va_start(arguments, form);
@@ -19,6 +21,8 @@ static void print_form(const char *form, ...) {
     } else if (*form == 'g') {
       const double number = va_arg(arguments, double);
       printf(isnan(number) ? "NaN" : isinf(number) ? "Infinity" : "%.17g", number);
+    } else if (*form == 'r') {
+      fputs(va_arg(arguments, const char *), stdout);
     } else {
       const char *text = va_arg(arguments, const char *);
       for (printf(text != NULL ? "\"" : "null"); text != NULL && *text != '\0'; text++) {
@@ -32,28 +36,27 @@ static void print_form(const char *form, ...) {
 
 #define U(number) ((unsigned long long)(number))
 
-static const struct {
-  const char *name;
-  const core_choice *list;
-} lists[] = {{"models", core_models},        {"evaluators", core_evaluators},
-             {"moments", core_moments_list}, {"spacings", core_spacings},
-             {"draws", core_draws},          {"lengths", core_lengths},
-             {"phases", core_phases},        {"axes", core_fit_axes},
-             {"scales", core_fit_scales},    {"fit statuses", core_fit_statuses},
-             {"notes", core_notes}};
-enum { LISTS = sizeof lists / sizeof lists[0] };
+/* Returns the name of a list; NULL if it is none. */
+static const char *name_of(const core_choice *list) {
+#define WIRE_LIST(kind, IDENT, name, choices)                                                      \
+  if (list == (choices)) {                                                                         \
+    return name;                                                                                   \
+  }
+#include "proto/messages.def"
+  return NULL;
+}
+
+static void put_list(unsigned kind, const char *name, const core_choice *list) {
+  print_form(kind > 1 ? ",[%u,%s,[" : "[%u,%s,[", U(kind), name);
+  for (const core_choice *one = list; one->name != NULL; one++) {
+    print_form(one > list ? ",[%u,%s]" : "[%u,%s]", U(one->id), one->name);
+  }
+  print_form("]]");
+}
 
 static void put_registers(void) {
   static const char *const types[] = {"uint16", "uint32", "float32", "float64", "text", "uint16"};
-  print_form("'lists':{");
-  for (int i = 0; i < LISTS; i++) {
-    print_form(i > 0 ? ",%s:[" : "%s:[", lists[i].name);
-    for (const core_choice *one = lists[i].list; one->name != NULL; one++) {
-      print_form(one > lists[i].list ? ",[%u,%s]" : "[%u,%s]", U(one->id), one->name);
-    }
-    print_form("]");
-  }
-  print_form("},'mirror':%u,'most':%g,'blocks':[", U(REGISTERS_MIRROR), (double)FLT_MAX);
+  print_form("'mirror':%u,'most':%g,'blocks':[", U(REGISTERS_MIRROR), (double)FLT_MAX);
   for (int i = 0; i < REGISTERS_BLOCKS; i++) {
     const registers_block *block = &registers_blocks[i];
     print_form(i > 0 ? ",[%u,%u,%u,%s,%s]" : "[%u,%u,%u,%s,%s]", U(block->id), U(block->first),
@@ -71,11 +74,7 @@ static void put_registers(void) {
   }
   print_form("],'registers':[");
   for (const registers_field *field = registers_fields; field->name != NULL; field++) {
-    const char *list = NULL;
     char bits[80] = "";
-    for (int i = 0; i < LISTS; i++) {
-      list = lists[i].list == field->list ? lists[i].name : list;
-    }
     if (field->type == REGISTERS_BITS) {
       registers_bits_text(field, bits, sizeof bits);
     }
@@ -84,8 +83,8 @@ static void put_registers(void) {
         "'address':%u,'count':%u,'type':%s,'access':%u,'name':%s,'unit':%s,'least':%g,'most':%g,"
         "'digits':%u,'bits':%s,'list':%s,'initial':%g,'about':%s}",
         U(field->address), U(field->count), types[field->type], U(field->access), field->name,
-        field->unit, field->least, field->most, U(registers_digits(field->type)), bits, list,
-        field->initial, field->about);
+        field->unit, field->least, field->most, U(registers_digits(field->type)), bits,
+        name_of(field->list), field->initial, field->about);
   }
   print_form("],");
 }
@@ -113,34 +112,45 @@ static void put_structures(void) {
   print_form("},");
 }
 
-static void put_numbers(const schema_number *numbers, int count) {
-  for (int i = 0; i < count && numbers[i].name != NULL; i++) {
-    print_form(i > 0 ? ",[%s,%u]" : "[%s,%u]", numbers[i].name, U(numbers[i].mask));
+static void put_number(const schema_number *number) {
+  print_form(number->mask != 0 ? "%r&%u" : "%r", number->name, U(number->mask));
+}
+
+/* Puts a product of numbers in brackets; nothing if there is no factor. */
+static void put_product(const schema_number *numbers, unsigned times, unsigned more) {
+  for (int i = 0; i < SCHEMA_FACTORS && numbers[i].name != NULL; i++) {
+    print_form(i > 0 ? "*" : "[");
+    put_number(&numbers[i]);
+  }
+  if (numbers[0].name != NULL) {
+    print_form(times > 0 ? "*%u" : "", U(times));
+    print_form(more > 0 ? "+%u]" : "]", U(more));
   }
 }
 
+/* Puts a payload as clients/python/dipole/schema.py has it. */
 static void put_payload(const schema_payload *payload) {
-  print_form("%s:{'structures':[", payload->name);
-  for (int i = 0; i < 2 && payload->structures[i] != NULL; i++) {
-    print_form(i > 0 ? ",%s" : "%s", payload->structures[i]->name);
+  print_form("%s:'%r", payload->name, payload->structures[0]->name);
+  if (payload->structures[1] != NULL) {
+    print_form("; %r", payload->structures[1]->name);
   }
-  print_form("],'parts':[");
   for (const schema_part *part = payload->parts; part->name != NULL; part++) {
-    print_form(part > payload->parts ? ",{" : "{");
-    print_form(
-        "'element':%s,'name':%s,'never':%u,'rest':%u,'times':%u,'more':%u,'unless':%u,'is':%u,",
-        part->kind == SCHEMA_LIST ? part->structure->name : schema_kind_name(part->kind),
-        part->name, U(part->never), U(part->rest), U(part->times), U(part->more), U(part->unless),
-        U(part->is));
-    print_form("'when':[");
-    put_numbers(&part->when, 1);
-    print_form("],'arrays':[");
-    put_numbers(part->arrays, SCHEMA_FACTORS);
-    print_form("],'count':[");
-    put_numbers(part->count, SCHEMA_FACTORS);
-    print_form("]}");
+    if (part->never) {
+      continue;
+    }
+    print_form("; %r %r",
+               part->kind == SCHEMA_LIST ? part->structure->name : schema_kind_name(part->kind),
+               part->name);
+    put_product(part->arrays, 0, 0);
+    put_product(part->count, part->times, part->more);
+    print_form(part->rest ? "[]" : "");
+    if (part->when.name != NULL) {
+      print_form(part->unless ? " unless " : " if ");
+      put_number(&part->when);
+      print_form(" is %u", U(part->is));
+    }
   }
-  print_form("]},");
+  print_form("',");
 }
 
 int main(void) {
@@ -150,10 +160,10 @@ int main(void) {
   print_form("'messages':{");
 #define WIRE_MESSAGE(type, IDENT, name, ...) print_form("'" name "':%u,", U(type));
 #include "proto/messages.def"
-  print_form("'':0},'kinds':{");
-#define WIRE_LIST(kind, IDENT, name, list) print_form("'%u':'" name "',", U(kind));
+  print_form("'':0},'lists':[");
+#define WIRE_LIST(kind, IDENT, name, list) put_list(kind, name, list);
 #include "proto/messages.def"
-  print_form("'':0},'statuses':[");
+  print_form("],'statuses':[");
 #define WIRE_STATUS(code, IDENT, modbus_exception, http, name, text)                               \
   print_form("[%u,'" #IDENT "',%u,%u,'" name "'],", U(code), U(modbus_exception), U(http));
 #include "proto/statuses.def"

@@ -9,6 +9,7 @@ import json
 import math
 import re
 import sys
+import textwrap
 from pathlib import Path
 
 LISTS = json.load(sys.stdin)
@@ -70,6 +71,7 @@ def write_protocol(path: Path) -> None:
 JOB_COLUMNS = "name | eval | sample | invert | mc | fit | meaning"
 BLOCKS = {first: block for block in LISTS["blocks"] for first in [block[1]]}
 MIRROR = LISTS["mirror"]
+WITHOUT_REGISTERS = ("quantity", "status", "parameter", "light", "value", "coefficient")
 
 
 def section(title: str, columns: str, rows: list[str]) -> str:
@@ -145,7 +147,7 @@ def fields_text() -> str:
 def lists_text() -> str:
     rows = [
         f"| {name} | " + ", ".join(f"{id} {choice}" for id, choice in entries) + " |"
-        for name, entries in LISTS["lists"].items()
+        for _, name, entries in LISTS["lists"] if name not in WITHOUT_REGISTERS
     ]
     errors = ", ".join(f"{code} {name} ({exception:02x})" for code, _, exception, _, name in STATUSES)
     return section("Lists", "list | ids and names", [*rows, f"| errors (exceptions) | {errors} |"])
@@ -161,66 +163,39 @@ def write_registers(path: Path) -> None:
 # ---- Python --------------------------------------------------------------------------------------
 
 
-def number_text(number: list) -> str:
-    return number[0] + (f"&{number[1]}" if number[1] else "")
+def filled(text: str) -> str:
+    """Breaks a text into lines behind commas and semicolons."""
+    whole = re.sub("([^,;]) ", "\\1\u00a0", text)
+    lines = textwrap.fill(whole, 98, subsequent_indent="    ", break_on_hyphens=False)
+    return lines.replace("\u00a0", " ")
 
 
-def product(part: dict, numbers: str, times: int, more: int) -> str:
-    text = "*".join(number_text(number) for number in part[numbers])
-    return f"[{text}{f'*{times}' if times > 1 else ''}{f'+{more}' if more else ''}]" if text else ""
-
-
-def part_text(part: dict) -> str:
-    text = f"{part['element']} {part['name']}" + product(part, "arrays", 1, 0)
-    text += product(part, "count", part["times"], part["more"]) + ("[]" if part["rest"] else "")
-    for number in part["when"]:
-        word = "unless" if part["unless"] else "if"
-        text += f" {word} {number_text(number)} is {part['is']}"
-    return text
-
-
-def dictionary(name: str, entries: dict, comment: str = "") -> str:
-    rows = "".join(f"    {key}: {value},\n" for key, value in entries.items())
-    return f"{comment}{name} = {{\n{rows}}}\n"
-
-
-def lines_of(texts: list[str]) -> str:
-    return "(\n" + "".join(f'        "{text}",\n' for text in texts) + "    )"
-
-
-def structure_text(fields: list[dict]) -> str:
-    lines = [""]
-    for field in fields:
-        count = type_of(field)[len(field["kind"]):]
-        item = f"{field['kind']} {field['name']}{count}, "
-        if len(lines[-1]) + len(item) > 90:
-            lines.append("")
-        lines[-1] += item
-    return "(\n" + "".join(f'        "{line}"\n' for line in lines) + "    )"
+def block(name: str, comment: str, entries: dict) -> str:
+    """Makes a text of entries "name: ...", whose further lines are indented."""
+    rows = "\n".join(filled(f"{key}: {text}") for key, text in entries.items())
+    return f'{comment}{name} = """\\\n{rows}\n"""\n'
 
 
 def write_schema(path: Path) -> None:
-    quoted = lambda entries: {f'"{name}"': value for name, value in entries.items()}
-    payloads = {
-        name: lines_of(payload["structures"]
-                       + [part_text(part) for part in payload["parts"] if not part["never"]])
-        for name, payload in named(LISTS["payloads"]).items()
+    fields_of = lambda fields: ", ".join(
+        f"{field['kind']} {field['name']}" + type_of(field)[len(field["kind"]):] for field in fields
+    )
+    numbers = {
+        "MESSAGES": named(LISTS["messages"]),
+        "KINDS": {kind: name for kind, name, _ in LISTS["lists"]},
+        "STATUSES": {code: name for code, *_, name in STATUSES},
     }
     path.write_text("\n".join([
         '"""The messages, structures and lists of dipoled\'s protocol. `make docs` makes this file '
         'from proto/."""\n',
-        dictionary("MESSAGES", quoted(named(LISTS["messages"]))),
-        dictionary("KINDS", {kind: f'"{name}"' for kind, name in named(LISTS["kinds"]).items()},
-                   "# kinds of choices, by their number\n"),
-        dictionary("STATUSES", {code: f'"{name}"' for code, *_, name in STATUSES}),
+        *(filled(f"{name} = {entries}").replace("'", '"') + "\n" for name, entries in numbers.items()),
         "# quantities with a value for each radius and channel, in the order of a reply's arrays\n"
         f"ELEMENTWISE = {tuple(LISTS['elementwise'][:-1])}\n",
-        dictionary("STRUCTURES", quoted({name: structure_text(fields)
-                                         for name, fields in STRUCTURES.items()})),
-        dictionary("PAYLOADS", quoted(payloads),
-                   "# The structures that a payload begins with, and its parts: element, name, "
-                   "number of arrays, and\n# of elements in each; wanted&12 is how many of these "
-                   "bits `wanted` has; [] is all that is left.\n"),
+        block("STRUCTURES", "# name: kind and name of each field\n",
+              {name: fields_of(fields) for name, fields in STRUCTURES.items()}),
+        block("PAYLOADS", "# The structures that a payload begins with, and its parts: element, "
+              "name, number of arrays, and\n# of elements in each; wanted&12 is how many of these "
+              "bits `wanted` has; [] is all that is left.\n", named(LISTS["payloads"])),
     ]))
 
 

@@ -59,7 +59,7 @@ AT = addresses()
 BLOCKS = {
     int(number): (int(first), int(length))
     for number, first, length in re.findall(
-        r"^REGISTERS_BLOCK\((\d+), \w+, (\d+), (\d+),", read_list("proto/registers.def"), re.M
+        r"^REGISTERS_(?:BLOCK|SWAPPED)\((\d+), \w+, (\d+), (\d+),", read_list("proto/registers.def"), re.M
     )
 }
 

@@ -155,7 +155,13 @@ def padded(data_bytes: int) -> int:
     return -(-data_bytes // ALIGNMENT) * ALIGNMENT
 
 
-STRUCTURES = {name: Structure(name, text) for name, text in schema.STRUCTURES.items()}
+def _entries(text: str) -> list[tuple[str, str]]:
+    """Splits a text of schema.py into names and what is said of each."""
+    listed = text.strip().replace("\n    ", " ").split("\n")
+    return [(name, said) for name, _, said in (one.partition(": ") for one in listed)]
+
+
+STRUCTURES = {name: Structure(name, text) for name, text in _entries(schema.STRUCTURES)}
 
 
 def __getattr__(name: str) -> Structure:
@@ -218,7 +224,7 @@ class Part:
 class Payload:
     """The payload of a message: one structure or two, and the parts that follow."""
 
-    def __init__(self, name: str, declarations: tuple[str, ...]):
+    def __init__(self, name: str, declarations: list[str]):
         self.name = name
         self._structures = [STRUCTURES[one] for one in declarations if " " not in one]
         self._parts = [Part(one) for one in declarations if " " in one]
@@ -254,4 +260,4 @@ class Payload:
         return fixed, parts
 
 
-PAYLOADS = {name: Payload(name, parts) for name, parts in schema.PAYLOADS.items()}
+PAYLOADS = {name: Payload(name, parts.split("; ")) for name, parts in _entries(schema.PAYLOADS)}
