@@ -12,8 +12,6 @@
 /* A layer of a medium has the same layout on the wire and in core, so core reads payloads in place. */
 _Static_assert(sizeof(core_medium) == WIRE_BYTES_medium, "one layer after the other");
 
-extern const core_choice wire_statuses[]; /* the list of statuses */
-
 /* ---- fields ---------------------------------------------------------------------------------- */
 
 enum schema_kind {

@@ -4,7 +4,6 @@
 #include <string.h>
 
 #include "core/varying.h"
-#include "proto/schema.h"
 
 /* ---- structures ------------------------------------------------------------------------------ */
 

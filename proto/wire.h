@@ -10,7 +10,8 @@
 #include <stddef.h>
 #include <stdint.h>
 
-struct core_choice; /* declared in core/core.h */
+#include "core/core.h"
+
 
 /* Numbers are copied, and arrays used in place, so this machine must be little-endian like the protocol. */
 _Static_assert(__BYTE_ORDER__ == __ORDER_LITTLE_ENDIAN__, "this machine's arrays need swapping");
@@ -112,7 +113,7 @@ WIRE_COLD wire_error wire_error_busy(const char *field, const char *allowed,
 
 /* Returns BAD_VALUE with the entries of one of core's lists as what is allowed, for example "one of
  * 1 (f64), 2 (f32)". A long list is cut. `how` is "one of" or "a sum of". */
-WIRE_COLD wire_error wire_error_not_in_list(const char *field, const struct core_choice *list,
+WIRE_COLD wire_error wire_error_not_in_list(const char *field, const core_choice *list,
                                             const char *how);
 
 /* Returns true if wire_header_check() would return OK. */
@@ -141,6 +142,7 @@ const char *wire_type_name(unsigned type);
 /* ---- the list of choices --------------------------------------------------------------------- */
 
 /* One list of everything that requests choose from: the lists of core/core.h, then the statuses. */
+extern const core_choice wire_statuses[];
 size_t wire_choice_count(void);
 wire_choice wire_choice_at(size_t index); /* index is below wire_choice_count() */
 
