@@ -372,6 +372,10 @@ core_fault core_profile_check(unsigned model, unsigned moments, unsigned evaluat
 bool core_prepares_slowly(unsigned model, unsigned evaluator, const core_medium *medium,
                           const core_parameters *parameters);
 
+/* Whether preparing solves transport, which takes seconds. core_prepares_slowly() then is true, too. */
+bool core_has_to_solve(unsigned model, const core_medium *medium,
+                       const core_parameters *parameters);
+
 /* Whether core_albedo() takes as long as preparing does, and that is long. */
 bool core_finds_albedo_slowly(unsigned model);
 

@@ -66,18 +66,27 @@ bool core_has_derivatives(unsigned model) {
                                                       core_has_derivatives(found->parts[1]));
 }
 
+bool core_has_to_solve(unsigned model, const core_medium *medium,
+                       const core_parameters *parameters) {
+  const double *value = parameters->value;
+  const struct model *found = find_model(model);
+  if (found != NULL && (parameters_of(found) & BIT(FIT_MODEL)) != 0 &&
+      !isnan(value[CORE_PARAMETER_FIT_MODEL])) {
+    found = find_model((unsigned)value[CORE_PARAMETER_FIT_MODEL]);
+  }
+  const core_medium taken = core_transport_medium(medium, value[CORE_PARAMETER_GAMMA]);
+  return found != NULL && (parameters_of(found) & SOLVES) != 0 &&
+         (medium->thickness_mm > 0 ||
+          !core_transport_is_looked_up(&taken, value[CORE_PARAMETER_TOLERANCE]));
+}
+
 bool core_prepares_slowly(unsigned model, unsigned evaluator, const core_medium *medium,
                           const core_parameters *parameters) {
   const struct model *found = find_model(model);
-  const bool solves = found != NULL && (parameters_of(found) & SOLVES) != 0;
-  const core_medium taken =
-      medium != NULL ? core_transport_medium(medium, parameters->value[CORE_PARAMETER_GAMMA])
-                     : (core_medium){0};
   return found != NULL &&
          (evaluator == CORE_EVALUATOR_LUT || (parameters_of(found) & SLOW) != 0 ||
-          (solves &&
-           (medium == NULL || medium->thickness_mm > 0 ||
-            !core_transport_is_looked_up(&taken, parameters->value[CORE_PARAMETER_TOLERANCE]))));
+          (medium == NULL ? (parameters_of(found) & SOLVES) != 0
+                          : core_has_to_solve(model, medium, parameters)));
 }
 
 bool core_finds_albedo_slowly(unsigned model) {

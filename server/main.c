@@ -158,7 +158,11 @@ static bool start_workers(struct daemon *daemon) {
       server->mc == NULL) {
     return complain("workers", "out of memory");
   }
-  /* libuv aborts if the threads of its pool, which prepare, cannot start. So they start now. */
+  const int lacking = cache_start(server->cache);
+  if (lacking != 0) {
+    return complain("threads", uv_strerror(lacking));
+  }
+  /* libuv aborts if the threads of its pool, which drive RTS, cannot start. So they start now. */
   uv_queue_work(&daemon->loop, &daemon->first_work, do_nothing, NULL);
   for (; daemon->workers_started < count; daemon->workers_started++) {
     const int error = worker_start(&server->workers[daemon->workers_started], server);

@@ -150,7 +150,7 @@ static enum job_outcome get_design(struct fit_job *fit) {
                                 .content_bytes = bytes,
                                 .hash = cache_hash(0, fit->request.design_bytes, bytes)};
   const enum lookup_state state =
-      lookup_get(&fit->job.context->profiles.lookups, &fit->lookup, &key, true, true);
+      lookup_get(&fit->job.context->profiles.lookups, &fit->lookup, &key, CACHE_SLOW, true);
   if (state != LOOKUP_READY) {
     return job_follow(&fit->job, state, &fit->lookup.fault, fit->lookup.fault.index);
   }

@@ -1,18 +1,14 @@
 #include "server/jobs/mc_pool.h"
 
 #include <assert.h>
-#include <errno.h>
 #include <stdlib.h>
 #include <string.h>
 #include <sys/queue.h>
-#include <sys/resource.h>
-#include <unistd.h>
 
-#include "server/observe/log.h"
+#include "server/store/cache.h"
 
 enum {
   THREADS_MAX = 64,       /* the limit of --mc-threads in options.def */
-  LOW_PRIORITY = 10,      /* nice value, which gives a tenth of the share of a worker on its core */
   BATCHES_PER_THREAD = 2, /* per job: one batch can be walked while another waits to be merged */
   RETRY_AFTER_MS = 1000,  /* retry_after_ms of BUSY: jobs take seconds */
 };
@@ -294,20 +290,10 @@ static struct mc_job *end_turn(struct mc_pool *pool, struct turn *turn) {
 
 /* ---- threads --------------------------------------------------------------------------------- */
 
-/* Lowers the priority of this thread: on Linux, these functions take the id of a thread. A daemon
- * that was started with a still lower priority keeps it. */
-static void lower_priority(void) {
-  const id_t thread = (id_t)gettid();
-  if (getpriority(PRIO_PROCESS, thread) < LOW_PRIORITY &&
-      setpriority(PRIO_PROCESS, thread, LOW_PRIORITY) != 0) {
-    log_line(LOG_LEVEL_ERROR, "event=priority-not-lowered reason=\"%s\"", strerror(errno));
-  }
-}
-
 static void thread_main(void *argument) {
   struct mc_pool *pool = argument;
   struct turn turn;
-  lower_priority();
+  cache_lower_priority();
   uv_mutex_lock(&pool->mutex);
   while (!pool->stopping) {
     if (!take_turn(pool, &turn)) {

@@ -4,7 +4,6 @@
 #include <netinet/tcp.h>
 #include <stdlib.h>
 #include <sys/ioctl.h>
-#include <sys/resource.h>
 #include <sys/socket.h>
 #include <unistd.h>
 
@@ -13,7 +12,6 @@
 #include "server/observe/log.h"
 
 enum {
-  LOW_PRIORITY = 10,   /* nice value, as of threads that walk photons */
   MOST_BYTES = 65536,  /* most bytes that a client may send in a handshake */
   MOST_WAITING = 1024, /* most sockets that may wait for the worker */
 };
@@ -29,7 +27,6 @@ struct handshakes {
   /* Clients that have sent nothing, and handshakes under way; the oldest one comes first. */
   struct queue queues[2];
   unsigned counts[2];
-  bool has_low_priority;
 };
 
 struct handshake {
@@ -192,10 +189,7 @@ static void start_client(struct client *client) {
   struct handshake *h = handshake_of(client);
   struct handshakes *all = h->all;
   atomic_fetch_sub(&all->waiting, 1);
-  if (!all->has_low_priority) {
-    all->has_low_priority = true;
-    setpriority(PRIO_PROCESS, 0, LOW_PRIORITY); /* On Linux, 0 means this thread. */
-  }
+  cache_lower_priority();
   if (uv_poll_init(worker_loop(client->worker), &h->poll, h->fd) != 0) {
     worker_forget(client);
     close(h->fd);

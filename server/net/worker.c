@@ -285,8 +285,7 @@ static void thread_main(void *argument) {
   uv_run(&worker->loop, UV_RUN_DEFAULT);
   assert(LIST_EMPTY(&worker->clients));
   uv_walk(&worker->loop, close_handle, NULL);
-  uv_run(&worker->loop,
-         UV_RUN_DEFAULT); /* runs until the pool's threads have prepared their profiles */
+  uv_run(&worker->loop, UV_RUN_DEFAULT);
   profiles_end(&worker->context.profiles);
   const int closed = uv_loop_close(&worker->loop);
   assert(closed == 0);
@@ -318,7 +317,7 @@ int worker_open(struct worker *worker, struct server *server) {
   worker->context.buffers = &server->buffers;
   worker->context.loop = &worker->loop;
   worker->context.latency = &server->latencies[worker - server->workers];
-  profiles_init(&worker->context.profiles, server, &worker->loop, wake, worker);
+  profiles_init(&worker->context.profiles, server, wake, worker);
   int error = uv_mutex_init(&worker->mutex);
   error = error != 0 ? error : uv_loop_init(&worker->loop);
   error = error != 0 ? error : uv_async_init(&worker->loop, &worker->wake, on_wake);

@@ -3,6 +3,8 @@
 #include <assert.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/resource.h>
+#include <unistd.h>
 #include <uv.h>
 
 enum {
@@ -10,13 +12,14 @@ enum {
   FAST_SHARE = 4,    /* What is fast to prepare may hold a quarter of all bytes. */
   LISTS = 3,         /* things that are fast to prepare, slow ones, and those apart */
   APART = 2,         /* index of the list of things apart */
+  THREADS_MOST = 2,  /* that prepare in each lane */
+  LOW_PRIORITY = 10, /* nice value, which gives a tenth of the share of a worker on its core */
 };
 
 struct cache_entry {
-  uv_work_t work; /* in use while a thread of the pool prepares the thing */
   struct cache *cache;
   struct cache_key key;
-  bool slow;
+  enum cache_pace pace;
   _Atomic uint64_t references;
   _Atomic bool kept; /* whether the thing is prepared and in the cache */
   _Atomic bool used; /* whether it was used since it was put at the head of its list */
@@ -45,6 +48,17 @@ struct list {
   uint64_t count;
 };
 
+/* The queues of one pace, and the threads that serve them. */
+struct lane {
+  TAILQ_HEAD(, cache_queue) turns; /* queues that have waiters; the first has the next turn */
+  struct cache_queue *latest;      /* that of the latest turn, or NULL; new ones go before it */
+  unsigned turn_count;             /* number of turns that have begun and not ended */
+  uv_cond_t changed;               /* whether there is a turn to take, or the cache stops */
+  struct cache *cache;
+  uv_thread_t threads[THREADS_MOST];
+  unsigned thread_count;
+};
+
 struct cache {
   const core_isa *isa;
   struct stats *stats;
@@ -55,11 +69,10 @@ struct cache {
   uint64_t bucket_count;
   uint64_t entry_count; /* number of entries in the buckets, prepared or not */
   struct list lists[LISTS];
-  TAILQ_HEAD(, cache_owner) turns; /* owners that have waiters; the first has the next turn */
-  struct cache_owner *latest;      /* owner of the latest turn, or NULL; new owners go before it */
-  unsigned turn_count;             /* number of turns that have begun and not ended */
-  unsigned turns_most;
+  struct lane lanes[CACHE_LANES];
+  unsigned turns_most; /* at a time in each lane */
   uint64_t max_waiting;
+  bool stopping;
 };
 
 /* ---- references ------------------------------------------------------------------------------ */
@@ -162,8 +175,12 @@ static void remove_entry(struct cache *cache, struct cache_entry *entry) {
 
 /* ---- eviction -------------------------------------------------------------------------------- */
 
+static bool is_slow(const struct cache_entry *entry) {
+  return entry->pace != CACHE_FAST;
+}
+
 static struct list *list_of(struct cache *cache, const struct cache_entry *entry) {
-  return &cache->lists[entry->key.kind->apart ? APART : (int)entry->slow];
+  return &cache->lists[entry->key.kind->apart ? APART : (int)is_slow(entry)];
 }
 
 static void move_to_head(struct list *list, struct cache_entry *entry) {
@@ -202,7 +219,7 @@ static void evict_one(struct cache *cache, struct list *list, struct entries *ev
 /* Returns the limit of the entries of one list. */
 static uint64_t limit_of(const struct cache *cache, const struct cache_entry *entry) {
   return entry->key.kind->apart ? cache->apart_bytes
-         : entry->slow          ? cache->limit_bytes
+         : is_slow(entry)       ? cache->limit_bytes
                                 : cache->limit_bytes / FAST_SHARE;
 }
 
@@ -220,7 +237,7 @@ static void make_room(struct cache *cache, const struct cache_entry *entry,
     }
     return;
   }
-  while (!entry->slow && entry->bytes > limit_of(cache, entry) - fast->bytes) {
+  while (!is_slow(entry) && entry->bytes > limit_of(cache, entry) - fast->bytes) {
     evict_one(cache, fast, evicted);
   }
   while (entry->bytes > cache->limit_bytes - fast->bytes - slow->bytes) {
@@ -249,28 +266,36 @@ static void keep_entry(struct cache *cache, struct cache_entry *entry, struct en
 
 /* ---- waiting --------------------------------------------------------------------------------- */
 
-static void join_queue(struct cache *cache, struct cache_owner *owner, struct lookup *waiter) {
-  if (owner->count++ == 0) {
-    TAILQ_INIT(&owner->waiters);
-    if (cache->latest != NULL) {
-      TAILQ_INSERT_BEFORE(cache->latest, owner, in_turns);
+static struct lane *lane_of(const struct cache_entry *entry) {
+  return &entry->cache->lanes[entry->pace - CACHE_SLOW];
+}
+
+static void join_queue(struct lookup *waiter, struct cache_owner *owner) {
+  struct lane *lane = lane_of(waiter->awaited);
+  struct cache_queue *queue = &owner->queues[waiter->awaited->pace - CACHE_SLOW];
+  if (queue->count++ == 0) {
+    TAILQ_INIT(&queue->waiters);
+    if (lane->latest != NULL) {
+      TAILQ_INSERT_BEFORE(lane->latest, queue, in_turns);
     } else {
-      TAILQ_INSERT_TAIL(&cache->turns, owner, in_turns);
+      TAILQ_INSERT_TAIL(&lane->turns, queue, in_turns);
     }
   }
-  waiter->queued_for = owner;
-  TAILQ_INSERT_TAIL(&owner->waiters, waiter, in_owner);
+  waiter->queued_for = queue;
+  TAILQ_INSERT_TAIL(&queue->waiters, waiter, in_queue);
+  uv_cond_signal(&lane->changed);
 }
 
 /* Removes the waiter from its owner's queue, if it is there. */
-static void leave_queue(struct cache *cache, struct lookup *waiter) {
-  struct cache_owner *owner = waiter->queued_for;
-  if (owner != NULL) {
-    TAILQ_REMOVE(&owner->waiters, waiter, in_owner);
+static void leave_queue(struct lookup *waiter) {
+  struct cache_queue *queue = waiter->queued_for;
+  if (queue != NULL) {
+    struct lane *lane = lane_of(waiter->awaited);
+    TAILQ_REMOVE(&queue->waiters, waiter, in_queue);
     waiter->queued_for = NULL;
-    if (--owner->count == 0) {
-      TAILQ_REMOVE(&cache->turns, owner, in_turns);
-      cache->latest = cache->latest == owner ? NULL : cache->latest;
+    if (--queue->count == 0) {
+      TAILQ_REMOVE(&lane->turns, queue, in_turns);
+      lane->latest = lane->latest == queue ? NULL : lane->latest;
     }
   }
 }
@@ -284,7 +309,7 @@ static void wait_for(struct cache_entry *entry, struct lookups *at, struct looku
   LIST_INSERT_HEAD(waiter->list, waiter, in_list);
   atomic_store(&entry->stop, false);
   if (!entry->begun) {
-    join_queue(entry->cache, waiter->owner, waiter);
+    join_queue(waiter, waiter->owner);
   }
 }
 
@@ -311,7 +336,7 @@ static void wake_all(struct cache_entry *entry) {
 
 /* Removes a slow entry from the table if nobody waits for it any more. Returns whether it did. */
 static bool give_up(struct cache_entry *entry) {
-  if (!entry->slow || !LIST_EMPTY(&entry->waiters)) {
+  if (!is_slow(entry) || !LIST_EMPTY(&entry->waiters)) {
     return false;
   }
   remove_entry(entry->cache, entry);
@@ -319,21 +344,21 @@ static bool give_up(struct cache_entry *entry) {
   return true;
 }
 
-static struct cache_entry *begin_turn(struct cache *cache) {
-  struct cache_owner *owner = TAILQ_FIRST(&cache->turns);
-  if (owner == NULL || cache->turn_count == cache->turns_most) {
+static struct cache_entry *begin_turn(struct cache *cache, struct lane *lane) {
+  struct cache_queue *queue = TAILQ_FIRST(&lane->turns);
+  if (queue == NULL || lane->turn_count == cache->turns_most) {
     return NULL;
   }
-  TAILQ_REMOVE(&cache->turns, owner, in_turns);
-  TAILQ_INSERT_TAIL(&cache->turns, owner, in_turns);
-  cache->latest = owner;
-  struct cache_entry *entry = TAILQ_FIRST(&owner->waiters)->awaited;
+  TAILQ_REMOVE(&lane->turns, queue, in_turns);
+  TAILQ_INSERT_TAIL(&lane->turns, queue, in_turns);
+  lane->latest = queue;
+  struct cache_entry *entry = TAILQ_FIRST(&queue->waiters)->awaited;
   struct lookup *waiter;
   LIST_FOREACH(waiter, &entry->waiters, in_list) {
-    leave_queue(cache, waiter);
+    leave_queue(waiter);
   }
   entry->begun = true;
-  cache->turn_count++;
+  lane->turn_count++;
   cache_hold(entry);
   return entry;
 }
@@ -344,7 +369,8 @@ static size_t content_offset(const struct cache_kind *kind) {
 }
 
 /* Makes an entry with one reference, which the table holds. Returns NULL if there is no memory. */
-static struct cache_entry *new_entry(struct cache *cache, const struct cache_key *key, bool slow) {
+static struct cache_entry *new_entry(struct cache *cache, const struct cache_key *key,
+                                     enum cache_pace pace) {
   const size_t offset = content_offset(key->kind);
   struct cache_entry *entry = calloc(1, sizeof *entry + offset + key->content_bytes);
   if (entry != NULL) {
@@ -354,13 +380,21 @@ static struct cache_entry *new_entry(struct cache *cache, const struct cache_key
     if (key->source != NULL) {
       key->kind->hold(key->source);
     }
-    entry->slow = slow;
+    entry->pace = pace;
     entry->under_way = true;
-    entry->begun = !slow;
+    entry->begun = pace == CACHE_FAST;
     atomic_init(&entry->references, 1);
     add_entry(cache, entry);
   }
   return entry;
+}
+
+static uint64_t waiter_count(const struct cache_owner *owner) {
+  uint64_t count = 0;
+  for (size_t i = 0; i < CACHE_LANES; i++) {
+    count += owner->queues[i].count;
+  }
+  return count;
 }
 
 static enum lookup_state refuse_lookup(struct lookup *lookup, const char *field,
@@ -372,25 +406,25 @@ static enum lookup_state refuse_lookup(struct lookup *lookup, const char *field,
 /* Sets lookup->entry to a reference if the thing is there. *is_new: whether the entry is new and fast,
  * so that the caller has to prepare it. */
 static enum lookup_state look_up(struct cache *cache, struct lookups *at, struct lookup *lookup,
-                                 const struct cache_key *key, bool slow, bool *is_new) {
+                                 const struct cache_key *key, enum cache_pace pace, bool *is_new) {
   struct cache_entry *entry = find_entry(cache, key);
   const bool new = entry == NULL;
   if (new && key->kind->hold != NULL && key->source == NULL) {
     return refuse_lookup(lookup, LOOKUP_FIELD_UNKNOWN,
                          "sets of points that were sent to this daemon and are kept");
   }
-  if ((new ? slow : !entry->begun) && !lookup->admitted &&
-      lookup->owner->count >= cache->max_waiting) {
+  if ((new ? pace != CACHE_FAST : !entry->begun) && !lookup->admitted &&
+      waiter_count(lookup->owner) >= cache->max_waiting) {
     return refuse_lookup(lookup, LOOKUP_FIELD_BUSY, "fewer profiles that wait at a time");
   }
   if (new) {
-    entry = new_entry(cache, key, slow);
+    entry = new_entry(cache, key, pace);
     if (entry == NULL) {
       return refuse_lookup(lookup, CORE_FIELD_MEMORY,
                            "less than the memory that is free: try again");
     }
   }
-  *is_new = new && !slow;
+  *is_new = new &&pace == CACHE_FAST;
   if (entry->under_way && !*is_new) {
     wait_for(entry, at, lookup);
     return LOOKUP_WAIT;
@@ -405,21 +439,22 @@ static enum lookup_state look_up(struct cache *cache, struct lookups *at, struct
 
 /* Returns how many turns come before that of a waiter. Its owner has `turns` turns before. An owner
  * that comes earlier in a round has one turn more than that, if it has enough waiters. */
-static uint64_t place_of(const struct cache *cache, const struct lookup *waiter) {
+static uint64_t place_of(const struct lookup *waiter) {
+  const struct lane *lane = lane_of(waiter->awaited);
   uint64_t turns = 0;
   for (const struct lookup *before = waiter;
-       (before = TAILQ_PREV(before, cache_waiting, in_owner)) != NULL;) {
+       (before = TAILQ_PREV(before, cache_waiting, in_queue)) != NULL;) {
     turns++;
   }
-  uint64_t place = turns + cache->turn_count;
+  uint64_t place = turns + lane->turn_count;
   bool earlier = true;
-  const struct cache_owner *owner;
-  TAILQ_FOREACH(owner, &cache->turns, in_turns) {
-    if (owner == waiter->queued_for) {
+  const struct cache_queue *queue;
+  TAILQ_FOREACH(queue, &lane->turns, in_turns) {
+    if (queue == waiter->queued_for) {
       earlier = false;
     } else {
       const uint64_t most = turns + earlier;
-      place += owner->count < most ? owner->count : most;
+      place += queue->count < most ? queue->count : most;
     }
   }
   return place;
@@ -438,26 +473,49 @@ struct cache *cache_new(const core_isa *isa, uint64_t limit_bytes, uint64_t apar
   cache->apart_bytes = apart_bytes;
   cache->max_waiting = max_waiting;
   /* leaves processors for the workers */
-  cache->turns_most = uv_available_parallelism() < 4 ? 1 : 2;
+  cache->turns_most = uv_available_parallelism() < 4 ? 1 : THREADS_MOST;
   cache->stats = stats;
   cache->bucket_count = BUCKETS_MIN;
   cache->buckets = calloc(BUCKETS_MIN, sizeof *cache->buckets);
   for (int i = 0; i < LISTS; i++) {
     TAILQ_INIT(&cache->lists[i].entries);
   }
-  TAILQ_INIT(&cache->turns);
   if (cache->buckets == NULL || uv_mutex_init(&cache->mutex) != 0) {
     free(cache->buckets);
     free(cache);
     return NULL;
   }
+  for (size_t i = 0; i < CACHE_LANES; i++) {
+    struct lane *lane = &cache->lanes[i];
+    TAILQ_INIT(&lane->turns);
+    lane->cache = cache;
+    if (uv_cond_init(&lane->changed) != 0) {
+      abort(); /* On Linux this takes nothing that could be lacking. */
+    }
+  }
   return cache;
+}
+
+static void stop_threads(struct cache *cache) {
+  uv_mutex_lock(&cache->mutex);
+  cache->stopping = true;
+  for (size_t i = 0; i < CACHE_LANES; i++) {
+    uv_cond_broadcast(&cache->lanes[i].changed);
+  }
+  uv_mutex_unlock(&cache->mutex);
+  for (size_t i = 0; i < CACHE_LANES; i++) {
+    struct lane *lane = &cache->lanes[i];
+    while (lane->thread_count > 0) {
+      uv_thread_join(&lane->threads[--lane->thread_count]);
+    }
+  }
 }
 
 void cache_free(struct cache *cache) {
   if (cache == NULL) {
     return;
   }
+  stop_threads(cache);
   for (uint64_t i = 0; i < cache->bucket_count; i++) {
     struct cache_entry *entry;
     while ((entry = LIST_FIRST(&cache->buckets[i])) != NULL) {
@@ -466,22 +524,27 @@ void cache_free(struct cache *cache) {
       cache_release(entry);
     }
   }
+  for (size_t i = 0; i < CACHE_LANES; i++) {
+    uv_cond_destroy(&cache->lanes[i].changed);
+  }
   uv_mutex_destroy(&cache->mutex);
   free(cache->buckets);
   free(cache);
 }
 
-struct cache_entry *cache_begin_turn(struct cache *cache) {
+struct cache_entry *cache_begin_turn(struct cache *cache, enum cache_pace pace) {
   uv_mutex_lock(&cache->mutex);
-  struct cache_entry *entry = begin_turn(cache);
+  struct cache_entry *entry = begin_turn(cache, &cache->lanes[pace - CACHE_SLOW]);
   uv_mutex_unlock(&cache->mutex);
   return entry;
 }
 
-void cache_end_turn(struct cache *cache) {
+void cache_end_turn(struct cache_entry *entry) {
+  struct cache *cache = entry->cache;
   uv_mutex_lock(&cache->mutex);
-  cache->turn_count--;
+  lane_of(entry)->turn_count--;
   uv_mutex_unlock(&cache->mutex);
+  cache_release(entry);
 }
 
 uint64_t lookup_place(const struct lookup *lookup) {
@@ -490,17 +553,19 @@ uint64_t lookup_place(const struct lookup *lookup) {
   }
   struct cache *cache = lookup->awaited->cache;
   uv_mutex_lock(&cache->mutex);
-  const uint64_t place = lookup->queued_for != NULL ? place_of(cache, lookup) : 0;
+  const uint64_t place = lookup->queued_for != NULL ? place_of(lookup) : 0;
   uv_mutex_unlock(&cache->mutex);
   return place;
 }
 
 void cache_move_waiters(struct cache *cache, struct cache_owner *from, struct cache_owner *to) {
   uv_mutex_lock(&cache->mutex);
-  while (from->count > 0) {
-    struct lookup *waiter = TAILQ_FIRST(&from->waiters);
-    leave_queue(cache, waiter);
-    join_queue(cache, to, waiter);
+  for (size_t i = 0; i < CACHE_LANES; i++) {
+    while (from->queues[i].count > 0) {
+      struct lookup *waiter = TAILQ_FIRST(&from->queues[i].waiters);
+      leave_queue(waiter);
+      join_queue(waiter, to);
+    }
   }
   uv_mutex_unlock(&cache->mutex);
 }
@@ -541,31 +606,45 @@ void cache_prepare(struct cache_entry *entry) {
   release_all(&evicted);
 }
 
-static void prepare_in_turn(uv_work_t *work) {
-  cache_prepare(work->data);
-}
-
-static void prepare_in_pool(struct cache *cache, uv_loop_t *loop);
-
-static void on_prepared(uv_work_t *work, int status) {
-  (void)status; /* The work is never cancelled: cache_prepare() checks whether it is wanted. */
-  struct cache_entry *entry = work->data;
-  struct cache *cache = entry->cache;
-  uv_loop_t *loop = work->loop;
-  cache_release(entry);
-  cache_end_turn(cache);
-  prepare_in_pool(cache, loop);
-}
-
-/* Prepares slow entries, turn by turn, on threads of libuv's pool. The loop does not end before the
- * preparations that have begun. */
-static void prepare_in_pool(struct cache *cache, uv_loop_t *loop) {
-  struct cache_entry *entry;
-  while ((entry = cache_begin_turn(cache)) != NULL) {
-    entry->work.data = entry;
-    const int queued = uv_queue_work(loop, &entry->work, prepare_in_turn, on_prepared);
-    assert(queued == 0); /* uv_queue_work() fails only if no function is given. */
+void cache_lower_priority(void) {
+  const id_t thread = (id_t)gettid(); /* On Linux, these functions take the id of a thread. */
+  if (getpriority(PRIO_PROCESS, thread) < LOW_PRIORITY) {
+    setpriority(PRIO_PROCESS, thread, LOW_PRIORITY); /* which every thread may do */
   }
+}
+
+static void take_turns(void *argument) {
+  struct lane *lane = argument;
+  struct cache *cache = lane->cache;
+  if (lane == &cache->lanes[CACHE_SOLVED - CACHE_SLOW]) {
+    cache_lower_priority();
+  }
+  uv_mutex_lock(&cache->mutex);
+  while (!cache->stopping) {
+    struct cache_entry *entry = begin_turn(cache, lane);
+    if (entry == NULL) {
+      uv_cond_wait(&lane->changed, &cache->mutex);
+      continue;
+    }
+    uv_mutex_unlock(&cache->mutex);
+    cache_prepare(entry);
+    cache_end_turn(entry);
+    uv_mutex_lock(&cache->mutex);
+  }
+  uv_mutex_unlock(&cache->mutex);
+}
+
+int cache_start(struct cache *cache) {
+  for (size_t i = 0; i < CACHE_LANES; i++) {
+    struct lane *lane = &cache->lanes[i];
+    for (; lane->thread_count < cache->turns_most; lane->thread_count++) {
+      const int error = uv_thread_create(&lane->threads[lane->thread_count], take_turns, lane);
+      if (error != 0) {
+        return error;
+      }
+    }
+  }
+  return 0;
 }
 
 /* ---- lookups --------------------------------------------------------------------------------- */
@@ -580,9 +659,9 @@ static void leave_entry(struct lookup *lookup) {
   struct cache *cache = entry->cache;
   uv_mutex_lock(&cache->mutex);
   leave_list(lookup);
-  leave_queue(cache, lookup);
+  leave_queue(lookup);
   const bool given_up = !entry->begun && give_up(entry);
-  if (entry->slow && LIST_EMPTY(&entry->waiters)) {
+  if (is_slow(entry) && LIST_EMPTY(&entry->waiters)) {
     atomic_store(&entry->stop, true);
   }
   uv_mutex_unlock(&cache->mutex);
@@ -595,25 +674,24 @@ static void leave_entry(struct lookup *lookup) {
 }
 
 static enum lookup_state look_up_first(struct lookups *lookups, struct lookup *lookup,
-                                       const struct cache_key *key, bool slow, bool counted) {
+                                       const struct cache_key *key, enum cache_pace pace,
+                                       bool counted) {
   struct cache *cache = lookups->server->cache;
   bool is_new = false;
   uv_mutex_lock(&cache->mutex);
-  const enum lookup_state state = look_up(cache, lookups, lookup, key, slow, &is_new);
+  const enum lookup_state state = look_up(cache, lookups, lookup, key, pace, &is_new);
   uv_mutex_unlock(&cache->mutex);
   if (counted) {
     lookup_count(lookups, state == LOOKUP_READY && !is_new);
   }
   if (is_new) {
     cache_prepare(lookup->entry);
-  } else if (state == LOOKUP_WAIT && lookups->loop != NULL) {
-    prepare_in_pool(cache, lookups->loop);
   }
   return state;
 }
 
 enum lookup_state lookup_get(struct lookups *lookups, struct lookup *lookup,
-                             const struct cache_key *key, bool slow, bool counted) {
+                             const struct cache_key *key, enum cache_pace pace, bool counted) {
   enum lookup_state state = LOOKUP_READY;
   assert(lookup->entry == NULL);
   if (lookup->awaited != NULL) { /* The entry is valid even if it has been evicted since. */
@@ -622,7 +700,7 @@ enum lookup_state lookup_get(struct lookups *lookups, struct lookup *lookup,
     lookup->entry = lookup->awaited;
     leave_entry(lookup);
   } else {
-    state = look_up_first(lookups, lookup, key, slow, counted);
+    state = look_up_first(lookups, lookup, key, pace, counted);
   }
   if (state == LOOKUP_READY && lookup->entry->fault.field != NULL) {
     lookup->fault = lookup->entry->fault;

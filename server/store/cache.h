@@ -11,8 +11,10 @@
  * it in the meantime wait for the same entry and are woken. If the preparation fails, all of them
  * get the fault, which the cache does not keep.
  *
- * Slow things are prepared on libuv's pool, one at a time, or two on a machine with four cores or
- * more. Each waiter waits in the queue of its owner, for example of a connection. Owners take
+ * Slow things are prepared by threads of two lanes: those that take milliseconds by one lane, and
+ * those for which transport is solved, in seconds, by the other, whose threads have a low priority. So
+ * no solution delays a table. A lane prepares one thing at a time, or two on a machine with four cores
+ * or more. Each waiter waits in a queue of its owner, for example of a connection. Owners take
  * turns: each turn prepares the entry of one owner's first waiter, and wakes all waiters of that
  * entry. So even an owner with hundreds of waiters delays another owner by only one preparation in
  * each turn. An entry without waiters whose preparation has not begun is removed.
@@ -84,19 +86,26 @@ struct cache_entry;
 
 LIST_HEAD(cache_waiters, lookup);
 
+/* How long preparing takes: up to a millisecond, on the thread that asks; milliseconds, by the first
+ * lane; or seconds, as transport is solved, by the second. */
+enum cache_pace { CACHE_FAST, CACHE_SLOW, CACHE_SOLVED, CACHE_LANES = CACHE_SOLVED };
+
+/* Waiters for entries whose preparation has not begun, in one lane. */
+struct cache_queue {
+  TAILQ_HEAD(cache_waiting, lookup) waiters;
+  uint64_t count;                    /* number of waiters */
+  TAILQ_ENTRY(cache_queue) in_turns; /* member of the list of turns if count > 0 */
+};
+
 /* The owner of waiters for slow things, for example a connection. Owners take turns. Before the
  * first use, set all members to 0. The cache's mutex guards them. */
 struct cache_owner {
-  /* waiters for entries whose preparation has not begun */
-  TAILQ_HEAD(cache_waiting, lookup) waiters;
-  uint64_t count;                    /* number of waiters */
-  TAILQ_ENTRY(cache_owner) in_turns; /* member of the list of turns if count > 0 */
+  struct cache_queue queues[CACHE_LANES];
 };
 
 /* What all lookups of one worker share; only its thread uses it. */
 struct lookups {
   struct server *server;
-  uv_loop_t *loop; /* on whose pool slow things are prepared; NULL: the caller takes the turns */
   void (*wake)(void *context); /* called on any thread: lookups_wake() has something to do */
   void *context;
   struct cache_waiters woken;
@@ -115,8 +124,8 @@ struct lookup {
 
   struct cache_entry *awaited;    /* NULL: it does not wait, and these have no meaning: */
   struct lookups *waits_at;       /* whose thread it is of */
-  struct cache_owner *queued_for; /* whose queue it is in; NULL: the preparation has begun */
-  TAILQ_ENTRY(lookup) in_owner;
+  struct cache_queue *queued_for; /* that it is in; NULL: the preparation has begun */
+  TAILQ_ENTRY(lookup) in_queue;
   struct cache_waiters *list; /* the list of the entry, or of the woken, that it is in; or NULL */
   LIST_ENTRY(lookup) in_list;
 };
@@ -127,15 +136,19 @@ struct lookup {
 struct cache *cache_new(const core_isa *isa, uint64_t limit_bytes, uint64_t apart_bytes,
                         uint64_t max_waiting, struct stats *stats);
 
-/* Frees the cache. Asserts that nothing is being prepared and all references are released. */
+/* Starts the threads that prepare slow things; without them, the caller takes the turns. Returns 0, or
+ * an error of libuv. */
+int cache_start(struct cache *cache);
+
+/* Ends the threads and frees the cache. Asserts that nothing is being prepared and all references are released. */
 void cache_free(struct cache *cache);
 
 enum lookup_state { LOOKUP_READY, LOOKUP_FAULT, LOOKUP_WAIT };
 
-/* Looks a thing up, which is prepared if it has to be: here, unless it is slow. counted: whether the
+/* Looks a thing up, which is prepared if it has to be: here, if that is fast. counted: whether the
  * statistics of the cache count that. */
 enum lookup_state lookup_get(struct lookups *lookups, struct lookup *lookup,
-                             const struct cache_key *key, bool slow, bool counted);
+                             const struct cache_key *key, enum cache_pace pace, bool counted);
 
 /* Returns what LOOKUP_READY has found; NULL if there is nothing. */
 const void *lookup_thing(const struct lookup *lookup);
@@ -169,16 +182,20 @@ bool lookup_is_unknown(core_fault fault);
 /* Calls on_ready() for the jobs whose things have been prepared. */
 void lookups_wake(struct lookups *lookups);
 
-/* Begins the turn of the next owner: returns a reference to the slow entry for which its first
- * waiter waits. The caller calls cache_prepare(), releases the entry, and calls cache_end_turn().
- * Returns NULL if no owner has a waiter, or if enough entries are being prepared. */
-struct cache_entry *cache_begin_turn(struct cache *cache);
-void cache_end_turn(struct cache *cache);
+/* Begins the turn of the next owner in a lane: returns the entry of this pace for which its first
+ * waiter waits. The caller calls cache_prepare() and then cache_end_turn(). Returns NULL if no owner
+ * has a waiter, or if enough entries are being prepared. */
+struct cache_entry *cache_begin_turn(struct cache *cache, enum cache_pace pace);
+void cache_end_turn(struct cache_entry *entry);
 
 /* Prepares an entry, on any thread, and wakes all its waiters. A slow entry that has no waiters any
  * more is not prepared but removed from the cache; if the last one leaves while transport is being
  * solved, that stops. */
 void cache_prepare(struct cache_entry *entry);
+
+/* Lowers the priority of this thread, for work that takes long. A daemon that was started with a still
+ * lower priority keeps it. A thread may not raise its priority again. */
+void cache_lower_priority(void);
 
 /* Makes all waiters of `from` waiters of `to`; `from` may then be freed. */
 void cache_move_waiters(struct cache *cache, struct cache_owner *from, struct cache_owner *to);

@@ -213,5 +213,5 @@ enum lookup_state points_get(struct lookups *lookups, struct lookup *lookup, con
                                 .content_bytes = 2 * sizeof set[0],
                                 .hash = set[0],
                                 .source = points};
-  return lookup_get(lookups, lookup, &key, true, false);
+  return lookup_get(lookups, lookup, &key, CACHE_SLOW, false);
 }

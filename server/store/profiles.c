@@ -208,9 +208,12 @@ static enum lookup_state prepare_here(struct profiles *profiles, struct profiles
 static enum lookup_state get_from_cache(struct profiles *profiles, struct profiles_lookup *lookup,
                                         const core_medium *medium) {
   const struct cache_key key = profiles_cache_key(&lookup->key, &profiles_kind);
-  const bool slow =
-      core_prepares_slowly(lookup->key.model, lookup->key.evaluator, medium, &lookup->parameters);
-  const enum lookup_state state = lookup_get(&profiles->lookups, &lookup->cached, &key, slow, true);
+  const enum cache_pace pace =
+      core_has_to_solve(lookup->key.model, medium, &lookup->parameters) ? CACHE_SOLVED
+      : core_prepares_slowly(lookup->key.model, lookup->key.evaluator, medium, &lookup->parameters)
+          ? CACHE_SLOW
+          : CACHE_FAST;
+  const enum lookup_state state = lookup_get(&profiles->lookups, &lookup->cached, &key, pace, true);
   lookup->fault = lookup->cached.fault;
   if (state == LOOKUP_READY) {
     lookup->profile = *(const core_profile *)lookup_thing(&lookup->cached);
@@ -273,10 +276,10 @@ void profiles_return(struct profiles_lookup *lookup) {
   lookup_return(&lookup->cached);
 }
 
-void profiles_init(struct profiles *profiles, struct server *server, uv_loop_t *loop,
-                   void (*wake)(void *context), void *context) {
+void profiles_init(struct profiles *profiles, struct server *server, void (*wake)(void *context),
+                   void *context) {
   *profiles = (struct profiles){
-      .lookups = {.server = server, .loop = loop, .wake = wake, .context = context},
+      .lookups = {.server = server, .wake = wake, .context = context},
       .keeps = server->options.cache_bytes > 0,
   };
 }

@@ -8,7 +8,7 @@
  *     that no stream of such media evicts anything from the cache.
  *   25 to 500 us (single scattering, multipoles, quantized diffusion): the first worker in need
  *     prepares it. Cache and table keep it.
- *   milliseconds and more (transport, tables): a thread of libuv's pool prepares it, so that
+ *   milliseconds and more (transport, tables): a thread of the cache prepares it, so that
  *     neither the worker nor another client's cheap request waits. Cache and table keep it.
  *
  * Other modules, like server/jobs/batch.h, remember the place of a profile in this table. They hold
@@ -94,8 +94,8 @@ struct profiles_lookup {
 
 /* Sets up the store. It calls wake(context), on any thread, when the worker should call
  * lookups_wake(). */
-void profiles_init(struct profiles *profiles, struct server *server, uv_loop_t *loop,
-                   void (*wake)(void *context), void *context);
+void profiles_init(struct profiles *profiles, struct server *server, void (*wake)(void *context),
+                   void *context);
 
 /* Empties the table. Call it when no job waits for a profile and no slot is pinned. */
 void profiles_end(struct profiles *profiles);

@@ -33,6 +33,7 @@ enum lookup_state varyings_get(struct lookups *lookups, struct lookup *lookup, u
   profiles_key_start(&from, model, moments, evaluator, parameters);
   profiles_key_set_medium(&from, &(core_medium){0, 0, g, eta});
   const struct cache_key key = profiles_cache_key(&from, &kind);
-  return lookup_get(lookups, lookup, &key, core_prepares_slowly(model, evaluator, NULL, parameters),
-                    true);
+  return lookup_get(
+      lookups, lookup, &key,
+      core_prepares_slowly(model, evaluator, NULL, parameters) ? CACHE_SLOW : CACHE_FAST, true);
 }

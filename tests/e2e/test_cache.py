@@ -232,6 +232,21 @@ def test_a_solution_that_nobody_waits_for_stops(daemon):
     assert not any("drain-timeout" in line for line in one.log)
 
 
+def test_a_solution_holds_up_no_table(daemon):
+    """The stack takes minutes. Until the table is there, nobody gives it up."""
+    stack = payload("transport", [(0.1, 10.0, 0.9, 1.4, 0.5)] * 6, medium_count=1, layer_count=6,
+                    parameters=[(PARAMETERS["tolerance"].id, 1e-8)])  # fmt: skip
+    one = daemon()
+    counted = Counted(one)
+    with one.connect() as solves, one.connect() as looks:
+        solves.send_bytes(frame(EVAL, 77, stack))
+        assert under_way(counted)
+        assert ask(looks, EVAL, slow()).type == REPLY
+        assert counted["builds"] == 2 and counted["entries"] == 1
+    one.terminate()
+    assert one.wait() == 0
+
+
 def test_a_client_that_ends_its_side_waits_for_no_solution(daemon):
     one = daemon()
     with one.connect("tcp") as connection:

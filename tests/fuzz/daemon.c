@@ -31,6 +31,7 @@ void fuzz_daemon_start(void) {
   fuzz_server.cache = cache_new(fuzz_server.isa, fuzz_server.options.cache_bytes,
                                 fuzz_server.options.points_bytes,
                                 fuzz_server.options.max_waiting_profiles, &fuzz_server.stats);
+  CHECK(cache_start(fuzz_server.cache) == 0);
   fuzz_server.mc = mc_pool_new(&fuzz_server);
   CHECK(worker_open(&fuzz_worker, &fuzz_server) == 0);
   stats_claim(1);

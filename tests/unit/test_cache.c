@@ -27,7 +27,7 @@ static const core_profile *profile_of(const struct lookup *lookup) {
 static enum lookup_state look(struct lookups *lookups, struct lookup *lookup,
                               const struct profiles_key *key, bool slow) {
   const struct cache_key plain = profiles_cache_key(key, &profiles_kind);
-  return lookup_get(lookups, lookup, &plain, slow, false);
+  return lookup_get(lookups, lookup, &plain, slow ? CACHE_SLOW : CACHE_FAST, false);
 }
 
 static void do_nothing(void *context) {
@@ -61,10 +61,9 @@ static uint64_t count(const struct fixture *f, enum stats_index index) {
 static unsigned take_turns(struct cache *cache, unsigned most) {
   unsigned turns = 0;
   struct cache_entry *entry;
-  while (turns < most && (entry = cache_begin_turn(cache)) != NULL) {
+  while (turns < most && (entry = cache_begin_turn(cache, CACHE_SLOW)) != NULL) {
     cache_prepare(entry);
-    cache_release(entry);
-    cache_end_turn(cache);
+    cache_end_turn(entry);
     turns++;
   }
   return turns;
@@ -290,11 +289,10 @@ UNIT_TEST(what_nobody_waits_for_is_not_prepared) {
   lookup_return(&lookup);
   assert_int_equal(take_turns(f.server.cache, 1), 0);
   wait_for(&f, 0, &lookup);
-  struct cache_entry *entry = cache_begin_turn(f.server.cache);
+  struct cache_entry *entry = cache_begin_turn(f.server.cache, CACHE_SLOW);
   lookup_return(&lookup); /* It gives up after its turn has begun. */
   cache_prepare(entry);
-  cache_release(entry);
-  cache_end_turn(f.server.cache);
+  cache_end_turn(entry);
   assert_int_equal(count(&f, STATS_CACHE_BUILDS), 0);
   assert_false(visit(&f, 0));
   assert_int_equal(count(&f, STATS_CACHE_BUILDS), 1);
@@ -332,12 +330,11 @@ UNIT_TEST(a_place_is_the_number_of_preparations_before) {
   wait_for(&f, MANY, &waiters[0]);
   lookup_return(&waiters[1]);
   wait_for(&f, MANY + 1, &waiters[1]);
-  entry = cache_begin_turn(f.server.cache);
+  entry = cache_begin_turn(f.server.cache, CACHE_SLOW);
   assert_int_equal(lookup_place(&waiters[0]), 0);
   assert_int_equal(lookup_place(&waiters[1]), 1); /* behind the preparation that has begun */
   cache_prepare(entry);
-  cache_release(entry);
-  cache_end_turn(f.server.cache);
+  cache_end_turn(entry);
   for (size_t i = 0; i < MANY; i++) {
     lookup_return(&waiters[i]);
   }
@@ -355,18 +352,58 @@ UNIT_TEST(at_most_two_turns_at_a_time) {
   }
   const unsigned most = uv_available_parallelism() < 4 ? 1 : 2;
   unsigned begun = 0;
-  while (begun < 3 && (entries[begun] = cache_begin_turn(f.server.cache)) != NULL) {
+  while (begun < 3 && (entries[begun] = cache_begin_turn(f.server.cache, CACHE_SLOW)) != NULL) {
     begun++;
   }
   assert_int_equal(begun, most);
   for (unsigned i = 0; i < begun; i++) {
     cache_prepare(entries[i]);
-    cache_release(entries[i]);
-    cache_end_turn(f.server.cache);
+    cache_end_turn(entries[i]);
   }
   assert_int_equal(take_turns(f.server.cache, 3), 3 - most);
   for (size_t i = 0; i < 3; i++) {
     lookup_return(&waiters[i]);
+  }
+  cache_free(f.server.cache);
+}
+
+static enum lookup_state look_at_pace(struct fixture *f, struct lookup *lookup, unsigned number,
+                                       enum cache_pace pace) {
+  const struct profiles_key key = key_number(number);
+  const struct cache_key plain = profiles_cache_key(&key, &profiles_kind);
+  return lookup_get(&f->lookups, lookup, &plain, pace, false);
+}
+
+/* While all threads that solve are at work, and more waits for them, what takes milliseconds is
+ * prepared, even for the same owner. A place counts what is prepared at the same pace. */
+UNIT_TEST(solutions_hold_up_nothing_else) {
+  enum { MANY = 4 };
+  struct fixture f;
+  open_cache(&f, 1 << 20);
+  struct lookup solved[MANY], table = new_lookup(&f.owner);
+  struct cache_entry *begun[MANY];
+  unsigned most = 0;
+  for (unsigned i = 0; i < MANY; i++) {
+    solved[i] = new_lookup(&f.owner);
+    assert_true(look_at_pace(&f, &solved[i], i, CACHE_SOLVED) == LOOKUP_WAIT);
+  }
+  while ((begun[most] = cache_begin_turn(f.server.cache, CACHE_SOLVED)) != NULL) {
+    most++;
+  }
+  assert_in_range(most, 1, MANY - 1);
+  assert_int_equal(lookup_place(&solved[MANY - 1]), MANY - 1);
+  assert_true(look_at_pace(&f, &table, MANY, CACHE_SLOW) == LOOKUP_WAIT);
+  assert_int_equal(lookup_place(&table), 0);
+  assert_int_equal(take_turns(f.server.cache, MANY), 1);
+  lookups_wake(&f.lookups);
+  assert_true(look_at_pace(&f, &table, MANY, CACHE_SLOW) == LOOKUP_READY);
+  for (unsigned i = 0; i < most; i++) {
+    cache_prepare(begun[i]);
+    cache_end_turn(begun[i]);
+  }
+  lookup_return(&table);
+  for (unsigned i = 0; i < MANY; i++) {
+    lookup_return(&solved[i]);
   }
   cache_free(f.server.cache);
 }
@@ -391,8 +428,8 @@ static void on_woken(void *context) {
   uv_sem_post(&thread->woken);
 }
 
-/* Asks for a random profile. If it is new, prepares it on this thread, as workers and libuv's pool
- * do. If another thread prepares it, waits for it or gives up. */
+/* Asks for a random profile. If it is new, prepares it on this thread, as workers and the cache's
+ * threads do. If another thread prepares it, waits for it or gives up. */
 static void ask_at_random(struct thread *thread) {
   const unsigned i = (unsigned)unit_random_below(&thread->seed, KEYS);
   const bool slow = i % 2 == 0;
