@@ -1,6 +1,6 @@
 # Test programs, and what runs them. Part of the Makefile.
 
-BENCH := $(call objects,$(wildcard tests/bench/*.c tests/bench/*/*.c))
+BENCH := $(call objects,$(wildcard tests/bench/*.c))
 # The longest ones come first, so that no processor waits for them at the end.
 TESTS := $(addprefix $(BUILD)/tests/,accuracy/test_transport_g accuracy/test_anisotropic unit/test_kernels accuracy/test_montecarlo accuracy/test_models)
 TESTS += $(filter-out $(TESTS),$(patsubst tests/%.c,$(BUILD)/tests/%,$(wildcard tests/accuracy/test_*.c tests/unit/test_*.c)))

@@ -3,23 +3,21 @@
  *
  *   fit.<model>.<axis>.sets      sets of readings                       1/s
  *   fit.<model>.<axis>.prepare   a design: its tables and grid          ms
- *   fit.image                    1,048,576 pixels of two frequencies through libdipole, a Unix socket
- *                                and one worker, in requests of 65,536 that wait for one another   s
- *   ratio.fit.image              the time of a request over that of the same fits in this process;
- *                                the worker has a core of its own
+ *   fit.image                    1,048,576 pixels of two frequencies through libdipole and a private
+ *                                daemon with one worker, in requests of 65,536 that wait for one
+ *                                another                                                           s
+ *   ratio.fit.image              the time of a request over that of the same fits in this process
  */
 #include "core/fit/fit.h"
 
-#include <stdio.h>
+#include <stdlib.h>
 
 #include "clients/c/dipole.h"
 #include "tests/accuracy/fit_model.h"
 #include "tests/bench/bench.h"
-#include "tests/bench/service/child.h"
-#include "tests/bench/service/daemon.h"
 
 enum { RUNS = 7, SETS = 4096, READINGS = 10 };
-enum { PIXELS = 65536, REQUESTS = 16, FREQUENCIES = 2, LIMIT_S = 120 };
+enum { PIXELS = 65536, REQUESTS = 16, FREQUENCIES = 2 };
 
 #define NOISE 0.02
 
@@ -142,22 +140,16 @@ static void measure_image(void) {
                                   .count = FREQUENCIES,
                                   .at = frequencies,
                                   .scale = CORE_FIT_SCALE_ABSOLUTE};
-  struct daemon daemon;
   dipole_client *client;
   dipole_error error;
   core_fit *fit;
-  char address[4096];
   bench_progress("fit: an image");
-  child_begin(LIMIT_S);
-  daemon_start(&daemon, CHILD_SERVER, "fit", 1);
-  child_pin(CHILD_CLIENT);
-  snprintf(address, sizeof address, "unix:%s", child_path("fit"));
   if (core_fit_create(&fit, core_isa_select(NULL), &design).field != NULL) {
     bench_fail("a design was refused");
   }
   draw(fit, FREQUENCIES);
   draw_image();
-  if (!dipole_open(address, &client, &error)) {
+  if (setenv("DIPOLED_WORKERS", "1", true) != 0 || !dipole_open("private:", &client, &error)) {
     bench_fail(error.text);
   }
   double seconds[REQUESTS], ratios[REQUESTS], sum = 0;
@@ -171,8 +163,7 @@ static void measure_image(void) {
   bench_figure(bench_median(ratios, REQUESTS), "times", "ratio.fit.image");
   dipole_close(client);
   core_fit_free(fit);
-  daemon_end(&daemon);
-  child_end_all();
+  unsetenv("DIPOLED_WORKERS");
 }
 
 void bench_fit(void) {

@@ -1,48 +1,44 @@
-/* Compares dipoled as a service with an echo server. Servers run on one core and clients on another
- * (service/child.h), each server in its own process. dipoled has one worker, because it has one core;
- * with two workers on that core, the processor time of a request is the same within 2 %. All sides
- * take turns, a fraction of a second each. A figure is the median over the rounds, a ratio the median
- * of the rounds' ratios. Requests evaluate R by the better dipole in single precision at listed radii,
- * over a Unix socket unless a name has tcp. The header of each answer is checked, and all its values
- * (of large answers, those of every 16th).
+/* Compares dipoled as a service with an echo server, a process that knows its reply beforehand.
+ * Servers run on the first core and the client on the last one. dipoled has one worker, because it
+ * has one core. Sides take turns, a fraction of a second each. A figure is the median over the
+ * rounds, a ratio the median of the rounds' ratios. Requests evaluate R by the better dipole in single
+ * precision at listed radii, over a Unix socket. Each reply is compared with the first one, whose
+ * values are compared with those of the kernel in this process; of large replies, every 16th.
  *
- *   service.bulk[.tcp].<side>          round trip of 65,536 radii, one at a time; the side kernel
- *                                      is the evaluation alone, in this process               us
- *   service.bulk[.tcp].<side>.max      the largest of these times                               us
- *   service.bulk[.tcp].<side>.rate     bytes both ways over this time                       MB/s
- *   ratio.service.bulk[.tcp]           dipoled over the sum of echo and kernel
- *   service.rtt.<side>.p50 ...         round trip of 16 radii, one at a time                  us
- *   ratio.service.rtt[.p99]            dipoled over echo
- *   service.many.<side>.rate           requests of 16 radii over 32 connections with 16 in flight on
- *                                      each                                           requests/s
- *   service.many.<side>.p50 ...        latency of these requests                              us
- *   service.many.<side>.cpu            processor time of the server for one request           us
- *   service.varying.<model>.<side>     round trip of 65,536 values, each with a medium of its own
- *   ratio.service.varying.<model>      dipoled over the sum of echo and kernel
+ *   service.bulk.<side>.p50 ...    round trip of 65,536 radii, one at a time                   us
+ *   service.bulk.kernel            the evaluation alone, in this process                       us
+ *   ratio.service.bulk             dipoled over the sum of echo and kernel
+ *   service.rtt.<side>.p50 ...     round trip of 16 radii, one at a time                       us
+ *   ratio.service.rtt              dipoled over echo
+ *   service.many.rate              requests of 16 radii to dipoled over 32 connections, 16 at a time
+ *                                  on each, which wait for each other                  requests/s
+ *   service.many.cpu               processor time of dipoled for one request                   us
+ *   service.scale.workers          half of the cores, from 1 to 16
+ *   service.scale.<one or all>     round trips of 65,536 radii a second, with one worker and
+ *                                  client, or as many of both as service.scale.workers
+ *                                  says, all of them on any core                       requests/s
+ *   ratio.service.scale            all over one; the number of workers would be perfect
  *
- *   service.scale.workers              half of the cores, from 1 to 16
- *   service.scale.<one or all>         round trips of 65,536 radii a second over Unix sockets, with
- *                                      one worker and client, or as many of both as service.scale
- *                                      says, all of them on any core                  requests/s
- *   ratio.service.scale                all over one; the number of workers would be perfect
- *
- * bulk and rtt are also measured with clients on the servers' core: names with .onecore. No two
+ * bulk and rtt are also measured with the client on the servers' core: names with .onecore. No two
  * processes then run at the same time, and no core has to be woken. These figures show the work,
  * that of the client included, and hardly depend on what else the machine does.
  */
-#include <math.h>
+#include <limits.h>
+#include <sched.h>
+#include <signal.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/prctl.h>
+#include <sys/socket.h>
+#include <sys/time.h>
+#include <sys/un.h>
+#include <sys/wait.h>
+#include <time.h>
 #include <unistd.h>
 
-#include "core/core.h"
+#include "proto/eval.h"
 #include "tests/bench/bench.h"
-#include "tests/bench/service/child.h"
-#include "tests/bench/service/daemon.h"
-#include "tests/bench/service/echo.h"
-#include "tests/bench/service/load.h"
-#include "tests/bench/service/ping.h"
 
 enum {
   SMALL_RADII = 16,
@@ -51,251 +47,361 @@ enum {
   CONNECTIONS = 32,
   IN_FLIGHT = 16,
   SCALE_MOST = 16,
-  LIMIT_S = 300, /* five times as long as the group takes on a machine that does nothing else */
+  SAMPLES_MOST = 1 << 17,
+  CHECK_LARGE_EVERY = 16, /* because a comparison takes a good part of the measured time */
+  SILENCE_S = 10,
 };
 #define MS UINT64_C(1000000)
 #define ROUND_NS (150 * MS)
 #define WARM_UP_NS (20 * MS)
-#define KERNEL_NS (20 * MS)
 
-/* All servers, and the requests that they get. */
-struct setting {
-  struct daemon daemon;
-  struct target eval;
-  struct target echo;
-  struct target bulk;
-  struct target bulk_echo;
+/* What is sent and what comes back. */
+struct exchange {
+  float *r, *R; /* [radius_count]: what is asked for, and what the kernel says */
+  size_t radius_count, request_bytes, reply_bytes;
+  uint8_t *request, *reply, *received; /* received: IN_FLIGHT replies */
 };
 
-static struct samples samples;
+struct side {
+  const char *name;
+  int fd;
+  double p50_us[ROUNDS], p99_us[ROUNDS];
+  double max_us; /* of all rounds */
+};
+
+static core_profile profile; /* of what is asked for */
+static double samples_us[SAMPLES_MOST];
+static cpu_set_t cores; /* that this program was started on */
+static char folder[] = "/tmp/dipoled-bench-XXXXXX";
+
+/* ---- processes ---------------------------------------------------------------------------- */
+
+enum place { ANYWHERE, FIRST_CORE, LAST_CORE };
+
+static void pin(enum place place) {
+  cpu_set_t one = cores;
+  int core = place == LAST_CORE ? CPU_SETSIZE - 1 : 0;
+  while (!CPU_ISSET(core, &cores)) {
+    core += place == LAST_CORE ? -1 : 1;
+  }
+  if (place != ANYWHERE) {
+    CPU_ZERO(&one);
+    CPU_SET(core, &one);
+  }
+  if (sched_setaffinity(0, sizeof one, &one) != 0) {
+    bench_fail("cannot be pinned to a core");
+  }
+}
+
+/* Like fork(). The child ends with this process at the latest. */
+static pid_t fork_child(enum place place) {
+  const pid_t child = fork();
+  if (child < 0) {
+    bench_fail("cannot start a process");
+  }
+  if (child == 0) {
+    prctl(PR_SET_PDEATHSIG, SIGKILL);
+    pin(place);
+  }
+  return child;
+}
+
+static void end_child(pid_t child) {
+  kill(child, SIGTERM);
+  waitpid(child, NULL, 0);
+}
+
+static double cpu_us(pid_t child) {
+  clockid_t clock;
+  struct timespec time;
+  if (clock_getcpuclockid(child, &clock) != 0 || clock_gettime(clock, &time) != 0) {
+    bench_fail("a server has ended too early");
+  }
+  return (double)time.tv_sec * 1e6 + (double)time.tv_nsec * 1e-3;
+}
+
+static struct sockaddr_un address_of(const char *name) {
+  struct sockaddr_un address = {.sun_family = AF_UNIX};
+  snprintf(address.sun_path, sizeof address.sun_path, "%s/%s", folder, name);
+  return address;
+}
+
+/* Starts the dipoled beside this program. Its socket is in the temporary folder. */
+static pid_t start_daemon(const char *name, enum place place, unsigned workers) {
+  char program[PATH_MAX] = "", listen[PATH_MAX], count[16];
+  if (readlink("/proc/self/exe", program, sizeof program - 16) < 0) {
+    bench_fail("cannot tell where this program is");
+  }
+  strcpy(strrchr(program, '/') + 1, "dipoled");
+  snprintf(listen, sizeof listen, "unix:%s", address_of(name).sun_path);
+  snprintf(count, sizeof count, "%u", workers);
+  const pid_t child = fork_child(place);
+  if (child == 0) {
+    char *arguments[] = {program, "--listen", listen, "--workers", count, NULL};
+    char *environment[] = {NULL}; /* variables are options of dipoled */
+    if (freopen("/dev/null", "w", stderr) != NULL) {
+      execve(program, arguments, environment);
+    }
+    _exit(EXIT_FAILURE);
+  }
+  return child;
+}
+
+/* Returns a socket whose reads and writes fail when the peer is silent. */
+static int with_limit(int fd) {
+  const struct timeval silence = {.tv_sec = SILENCE_S};
+  if (setsockopt(fd, SOL_SOCKET, SO_RCVTIMEO, &silence, sizeof silence) != 0 ||
+      setsockopt(fd, SOL_SOCKET, SO_SNDTIMEO, &silence, sizeof silence) != 0) {
+    bench_fail("cannot limit a socket");
+  }
+  return fd;
+}
+
+static int connect_to(const char *name, pid_t server) {
+  const struct sockaddr_un address = address_of(name);
+  const struct timespec nap = {.tv_nsec = 1000000};
+  const int fd = socket(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC, 0);
+  const uint64_t end_ns = bench_now_ns() + SILENCE_S * 1000 * MS;
+  while (connect(fd, (const struct sockaddr *)&address, sizeof address) != 0) {
+    if (waitpid(server, NULL, WNOHANG) != 0 || bench_now_ns() > end_ns) {
+      bench_fail("dipoled does not get ready; `make` builds it beside this program");
+    }
+    nanosleep(&nap, NULL);
+  }
+  return with_limit(fd);
+}
+
+/* ---- requests ----------------------------------------------------------------------------- */
+
+/* Returns whether all bytes could be written, or read. */
+static bool send_all(int fd, const uint8_t *bytes, size_t count) {
+  for (ssize_t sent; count > 0; bytes += sent, count -= (size_t)sent) {
+    sent = write(fd, bytes, count);
+    if (sent <= 0) {
+      return false;
+    }
+  }
+  return true;
+}
+
+static bool receive_all(int fd, uint8_t *bytes, size_t count) {
+  for (ssize_t got; count > 0; bytes += got, count -= (size_t)got) {
+    got = read(fd, bytes, count);
+    if (got <= 0) {
+      return false;
+    }
+  }
+  return true;
+}
+
+/* Sends so many requests at once. */
+static void send_requests(int fd, const struct exchange *exchange, size_t count) {
+  if (!send_all(fd, exchange->request, count * exchange->request_bytes)) {
+    bench_fail("a server does not take a request");
+  }
+}
+
+static void receive_replies(int fd, const struct exchange *exchange, size_t count) {
+  if (!receive_all(fd, exchange->received, count * exchange->reply_bytes)) {
+    bench_fail("a server does not reply");
+  }
+}
+
+static void check_replies(const struct exchange *exchange, size_t count) {
+  for (size_t i = 0; i < count; i++) {
+    if (memcmp(exchange->received + i * exchange->reply_bytes, exchange->reply,
+               exchange->reply_bytes) != 0) {
+      bench_fail("a reply is another than the first one");
+    }
+  }
+}
+
+/* Asks the daemon for the first reply. Requests have all the same id. */
+static struct exchange make_exchange(size_t radius_count, int fd) {
+  const core_medium *medium = &core_measured_medium_by_name("skin1")->channel[0];
+  const size_t bytes = radius_count * sizeof(float);
+  eval_layout layout;
+  if (!eval_reply_layout(CORE_EVALUATOR_F32, CORE_QUANTITY_R, 1, radius_count, UINT32_MAX,
+                         &layout)) {
+    bench_fail("too many radii");
+  }
+  struct exchange exchange = {
+      .radius_count = radius_count,
+      .request_bytes = WIRE_BYTES_header + WIRE_BYTES_eval_request + WIRE_BYTES_medium + bytes,
+      .reply_bytes = WIRE_BYTES_header + (size_t)layout.payload_bytes,
+      .r = malloc(bytes),
+      .R = malloc(bytes),
+  };
+  exchange.request = malloc(IN_FLIGHT * exchange.request_bytes);
+  exchange.reply = malloc(exchange.reply_bytes);
+  exchange.received = malloc(IN_FLIGHT * exchange.reply_bytes);
+  if (exchange.r == NULL || exchange.R == NULL || exchange.request == NULL ||
+      exchange.reply == NULL || exchange.received == NULL) {
+    bench_fail("out of memory");
+  }
+  const wire_header header = {
+      .magic = WIRE_MAGIC,
+      .version = WIRE_VERSION,
+      .type = WIRE_TYPE_EVAL,
+      .payload_bytes = (uint32_t)(exchange.request_bytes - WIRE_BYTES_header),
+  };
+  const wire_eval_request fixed = {
+      .model = CORE_MODEL_BETTER,
+      .evaluator = CORE_EVALUATOR_F32,
+      .moments = CORE_MOMENTS_EXACT,
+      .wanted = CORE_QUANTITY_R,
+      .medium_count = 1,
+      .layer_count = 1,
+      .spacing = CORE_SPACING_LIST,
+      .radius_count = radius_count,
+  };
+  const wire_medium layer = {medium->sigma_a_per_mm, medium->sigma_s_per_mm, medium->g,
+                             medium->eta};
+  bench_fill_radii(sizeof *exchange.r, exchange.r, radius_count);
+  for (size_t i = 0; i < IN_FLIGHT; i++) {
+    uint8_t *at = exchange.request + i * exchange.request_bytes;
+    wire_put_header(at, &header);
+    wire_put_eval_request(at + WIRE_BYTES_header, &fixed);
+    wire_put_medium(at + WIRE_BYTES_header + WIRE_BYTES_eval_request, &layer);
+    memcpy(at + exchange.request_bytes - bytes, exchange.r, bytes);
+  }
+  core_eval_f32(&profile, CORE_QUANTITY_R, radius_count, exchange.r, exchange.R);
+  send_requests(fd, &exchange, 1);
+  if (!receive_all(fd, exchange.reply, exchange.reply_bytes) ||
+      memcmp(exchange.reply + WIRE_BYTES_header + layout.arrays_offset, exchange.R, bytes) != 0) {
+    bench_fail("the daemon does not reply with the kernel's values");
+  }
+  return exchange;
+}
+
+static void free_exchange(const struct exchange *exchange) {
+  free(exchange->r);
+  free(exchange->R);
+  free(exchange->request);
+  free(exchange->reply);
+  free(exchange->received);
+}
 
 /* ---- sides -------------------------------------------------------------------------------- */
 
-/* A side: a server whose figures are measured in turn with those of the others. */
-struct side {
-  const char *name;
-  const struct target *target;
-  struct ping ping;
-  struct load *load;
-  size_t rounds; /* number of rounds so far */
-  double p50_us[ROUNDS];
-  double p99_us[ROUNDS];
-  double p999_us[ROUNDS];
-  double max_us; /* of all rounds */
-  double rate_per_s[ROUNDS];
-  double cpu_us[ROUNDS];
-};
-
-static struct side side_of(const struct target *target) {
-  return (struct side){.name = target->name, .target = target};
-}
-
-static void note_percentiles(struct side *side) {
-  const size_t round = side->rounds++;
-  side->p50_us[round] = samples_us(&samples, 0.5);
-  side->p99_us[round] = samples_us(&samples, 0.99);
-  side->p999_us[round] = samples_us(&samples, 0.999);
-  side->max_us = fmax(side->max_us, samples_us(&samples, 1));
-}
-
-static void report_percentiles(const struct side *side, const char *what, const char *where) {
-  bench_figure(bench_median_of(side->p50_us, side->rounds), "us", "service.%s%s.%s.p50", what,
-               where, side->name);
-  bench_figure(bench_median_of(side->p99_us, side->rounds), "us", "service.%s%s.%s.p99", what,
-               where, side->name);
-  bench_figure(bench_median_of(side->p999_us, side->rounds), "us", "service.%s%s.%s.p99.9", what,
-               where, side->name);
-}
-
-static void open_pings(struct side *sides, size_t count) {
-  for (size_t i = 0; i < count; i++) {
-    ping_open(&sides[i].ping, sides[i].target);
-    ping_run(&sides[i].ping, WARM_UP_NS, &samples);
+/* Starts the echo server. Returns the client's end of its connection. */
+static int start_echo(pid_t *server, const struct exchange *exchange) {
+  int ends[2];
+  if (socketpair(AF_UNIX, SOCK_STREAM, 0, ends) != 0) {
+    bench_fail("there is no pair of sockets");
   }
-}
-
-static void close_pings(struct side *sides, size_t count) {
-  for (size_t i = 0; i < count; i++) {
-    ping_close(&sides[i].ping);
+  *server = fork_child(FIRST_CORE);
+  if (*server == 0) {
+    while (receive_all(ends[1], exchange->received, exchange->request_bytes) &&
+           send_all(ends[1], exchange->reply, exchange->reply_bytes)) {
+    }
+    _exit(EXIT_FAILURE);
   }
+  close(ends[1]);
+  return with_limit(ends[0]);
 }
 
-static void ping_round(struct side *sides, size_t count) {
-  for (size_t i = 0; i < count; i++) {
-    ping_run(&sides[i].ping, ROUND_NS, &samples);
-    note_percentiles(&sides[i]);
+/* Sends one request after the other. Returns how many: samples_us[] has their times. */
+static size_t ping(int fd, const struct exchange *exchange, uint64_t duration_ns) {
+  const size_t check_every = exchange->radius_count > SMALL_RADII ? CHECK_LARGE_EVERY : 1;
+  const uint64_t end_ns = bench_now_ns() + duration_ns;
+  size_t count = 0;
+  do {
+    const uint64_t start_ns = bench_now_ns();
+    send_requests(fd, exchange, 1);
+    receive_replies(fd, exchange, 1);
+    samples_us[count++] = (double)(bench_now_ns() - start_ns) * 1e-3;
+    if (count % check_every == 0) {
+      check_replies(exchange, 1);
+    }
+  } while (count < SAMPLES_MOST && bench_now_ns() < end_ns);
+  return count;
+}
+
+/* ---- measurements ------------------------------------------------------------------------- */
+
+static double kernel_us(const struct exchange *exchange) {
+  const uint64_t end_ns = bench_now_ns() + WARM_UP_NS;
+  size_t count = 0;
+  do {
+    const uint64_t start_ns = bench_now_ns();
+    core_eval_f32(&profile, CORE_QUANTITY_R, exchange->radius_count, exchange->r, exchange->R);
+    samples_us[count++] = (double)(bench_now_ns() - start_ns) * 1e-3;
+  } while (count < SAMPLES_MOST && bench_now_ns() < end_ns);
+  return bench_median(samples_us, count);
+}
+
+/* Round trips. The ratio's base is echo, with the kernel's time if with_kernel. */
+static void measure_pings(const struct exchange *exchange, pid_t server, bool with_kernel,
+                          const char *name) {
+  pid_t echo_server;
+  struct side sides[] = {{.name = "dipoled", .fd = connect_to("dipoled", server)},
+                         {.name = "echo", .fd = start_echo(&echo_server, exchange)}};
+  double kernels_us[ROUNDS] = {0}, floor_us[ROUNDS];
+  bench_progress(name);
+  for (size_t i = 0; i < 2; i++) {
+    ping(sides[i].fd, exchange, WARM_UP_NS);
   }
-}
-
-/* ---- bulk --------------------------------------------------------------------------------- */
-
-/* The evaluation of the values of a bulk request in this process. */
-struct kernel {
-  core_profile profile;        /* unless each value has a medium of its own */
-  const core_varying *varying; /* if it has, else NULL */
-  const float *arrays;         /* radii; or sigma_a, sigma_s and radii */
-  float *R;
-};
-
-static struct kernel make_kernel(const struct target *bulk, const core_varying *varying) {
-  struct kernel kernel = {.varying = varying};
-  const size_t arrays = varying != NULL ? 3 : 1;
-  const core_medium *medium = &core_measured_medium_by_name("skin1")->channel[0];
-  const core_fault fault =
-      core_profile_prepare(&kernel.profile, core_isa_select(NULL), CORE_MODEL_BETTER,
-                           CORE_MOMENTS_EXACT, CORE_EVALUATOR_F32, medium, NULL);
-  kernel.arrays = (const float *)(bulk->requests + bulk->request_bytes -
-                                  arrays * BULK_RADII * sizeof *kernel.arrays);
-  kernel.R = malloc(BULK_RADII * sizeof *kernel.R);
-  if (fault.field != NULL || kernel.R == NULL) {
-    bench_fail("a measured medium was refused, or out of memory");
-  }
-  return kernel;
-}
-
-static void evaluate(const struct kernel *kernel) {
-  const float *arrays = kernel->arrays;
-  if (kernel->varying != NULL) {
-    core_varying_eval_f32(kernel->varying, CORE_QUANTITY_R, BULK_RADII, arrays, arrays + BULK_RADII,
-                          arrays + 2 * (size_t)BULK_RADII, kernel->R);
-  } else {
-    core_eval_f32(&kernel->profile, CORE_QUANTITY_R, BULK_RADII, arrays, kernel->R);
-  }
-}
-
-static double kernel_us(const struct kernel *kernel) {
-  const uint64_t end_ns = bench_now_ns() + KERNEL_NS;
-  samples_clear(&samples);
-  for (uint64_t start_ns = bench_now_ns(); start_ns < end_ns;) {
-    evaluate(kernel);
-    const uint64_t now_ns = bench_now_ns();
-    samples_add(&samples, now_ns - start_ns);
-    start_ns = now_ns;
-  }
-  samples_sort(&samples);
-  return samples_us(&samples, 0.5);
-}
-
-static void report_bulk(const struct side *side, const char *name) {
-  const double us = bench_median_of(side->p50_us, side->rounds);
-  const double bytes = (double)(side->target->request_bytes + side->target->reply_bytes);
-  bench_figure(us, "us", "service.%s.%s", name, side->name);
-  bench_figure(side->max_us, "us", "service.%s.%s.max", name, side->name);
-  bench_figure(bytes / us, "MB/s", "service.%s.%s.rate", name, side->name);
-}
-
-/* varying: the model of values with media of their own, or NULL. name: that of the figures. */
-static void measure_bulk(const struct target *bulk, const struct target *echo,
-                         const core_varying *varying, const char *name) {
-  bench_progress("service: bulk");
-  struct side sides[] = {side_of(bulk), side_of(echo)};
-  struct kernel kernel = make_kernel(bulk, varying);
-  double kernels_us[ROUNDS], floor_us[ROUNDS];
-  open_pings(sides, 2);
-  kernel_us(&kernel);
   for (size_t round = 0; round < ROUNDS; round++) {
-    ping_round(sides, 2);
-    kernels_us[round] = kernel_us(&kernel);
+    for (size_t i = 0; i < 2; i++) {
+      const size_t count = ping(sides[i].fd, exchange, ROUND_NS);
+      sides[i].p50_us[round] = bench_median(samples_us, count);
+      sides[i].p99_us[round] = samples_us[(count - 1) * 99 / 100];
+      if (samples_us[count - 1] > sides[i].max_us) {
+        sides[i].max_us = samples_us[count - 1];
+      }
+    }
+    kernels_us[round] = with_kernel ? kernel_us(exchange) : 0;
     floor_us[round] = sides[1].p50_us[round] + kernels_us[round];
   }
-  close_pings(sides, 2);
-  report_bulk(&sides[0], name);
-  report_bulk(&sides[1], name);
-  bench_figure(bench_median_of(kernels_us, ROUNDS), "us", "service.%s.kernel", name);
+  end_child(echo_server);
+  for (size_t i = 0; i < 2; i++) {
+    close(sides[i].fd);
+    const char *side = sides[i].name;
+    bench_figure(bench_median_of(sides[i].p50_us, ROUNDS), "us", "service.%s.%s.p50", name, side);
+    bench_figure(bench_median_of(sides[i].p99_us, ROUNDS), "us", "service.%s.%s.p99", name, side);
+    bench_figure(sides[i].max_us, "us", "service.%s.%s.max", name, side);
+  }
+  if (with_kernel) {
+    bench_figure(bench_median_of(kernels_us, ROUNDS), "us", "service.%s.kernel", name);
+  }
   bench_figure(bench_median_ratio(sides[0].p50_us, floor_us, ROUNDS), "times", "ratio.service.%s",
                name);
-  core_profile_free(&kernel.profile);
-  free(kernel.R);
 }
 
-static void measure_bulk_tcp(const struct setting *setting) {
-  struct target bulk = setting->bulk;
-  struct target echo = setting->bulk_echo;
-  bulk.address = setting->daemon.at_tcp;
-  echo.address = target_tcp(0);
-  echo_start(&echo);
-  measure_bulk(&bulk, &echo, NULL, "bulk.tcp");
-  child_end(echo.server);
-}
-
-/* Measures a request of values with media of their own over the Unix socket. */
-static void measure_varying(const struct setting *setting, enum core_model model,
-                            const char *name) {
-  core_varying varying;
-  struct target bulk, echo;
-  if (core_varying_prepare(&varying, core_isa_select(NULL), model, CORE_MOMENTS_EXACT,
-                           CORE_EVALUATOR_F32, 0, 1.3, NULL)
-          .field != NULL) {
-    bench_fail("media cannot vary with a model");
-  }
-  target_make_varying(&bulk, &varying, BULK_RADII);
-  bulk.address = setting->daemon.at_unix;
-  target_make_echo(&echo, &bulk);
-  echo.address = target_unix(child_path(name));
-  echo_start(&echo);
-  measure_bulk(&bulk, &echo, &varying, name);
-  child_end(echo.server);
-  target_free(&bulk);
-  target_free(&echo);
-  core_varying_free(&varying);
-}
-
-/* ---- round trips -------------------------------------------------------------------------- */
-
-static void measure_rtt(const struct setting *setting, const char *where) {
-  bench_progress("service: round trips");
-  struct side sides[] = {side_of(&setting->eval), side_of(&setting->echo)};
-  open_pings(sides, 2);
-  for (size_t round = 0; round < ROUNDS; round++) {
-    ping_round(sides, 2);
-  }
-  close_pings(sides, 2);
-  report_percentiles(&sides[0], "rtt", where);
-  report_percentiles(&sides[1], "rtt", where);
-  bench_figure(bench_median_ratio(sides[0].p50_us, sides[1].p50_us, ROUNDS), "times",
-               "ratio.service.rtt%s", where);
-  bench_figure(bench_median_ratio(sides[0].p99_us, sides[1].p99_us, ROUNDS), "times",
-               "ratio.service.rtt%s.p99", where);
-}
-
-/* ---- many requests ------------------------------------------------------------------------ */
-
-static void load_round(struct side *side) {
-  const size_t round = side->rounds;
-  const uint64_t cpu_ns = child_cpu_ns(side->target->server);
-  side->rate_per_s[round] = load_closed(side->load, ROUND_NS, &samples);
-  side->cpu_us[round] =
-      (double)(child_cpu_ns(side->target->server) - cpu_ns) * 1e-3 / (double)samples.count;
-  note_percentiles(side);
-}
-
-static void measure_many(const struct setting *setting) {
-  bench_progress("service: many requests");
-  struct side sides[] = {side_of(&setting->eval), side_of(&setting->echo)};
-  const size_t count = sizeof sides / sizeof sides[0];
-  for (size_t i = 0; i < count; i++) {
-    sides[i].load = load_new(sides[i].target, CONNECTIONS, IN_FLIGHT);
-    load_closed(sides[i].load, WARM_UP_NS, &samples);
+static void measure_many(const struct exchange *exchange, pid_t server) {
+  int fd[CONNECTIONS];
+  double rates_per_s[ROUNDS], cpus_us[ROUNDS];
+  bench_progress("many");
+  for (size_t i = 0; i < CONNECTIONS; i++) {
+    fd[i] = connect_to("dipoled", server);
   }
   for (size_t round = 0; round < ROUNDS; round++) {
-    for (size_t i = 0; i < count; i++) {
-      load_round(&sides[i]);
+    const uint64_t start_ns = bench_now_ns();
+    const double start_us = cpu_us(server);
+    size_t count = 0;
+    for (; bench_now_ns() < start_ns + ROUND_NS; count += CONNECTIONS * IN_FLIGHT) {
+      for (size_t i = 0; i < CONNECTIONS; i++) {
+        send_requests(fd[i], exchange, IN_FLIGHT);
+      }
+      for (size_t i = 0; i < CONNECTIONS; i++) {
+        receive_replies(fd[i], exchange, IN_FLIGHT);
+        check_replies(exchange, IN_FLIGHT);
+      }
     }
+    rates_per_s[round] = (double)count * 1e9 / (double)(bench_now_ns() - start_ns);
+    cpus_us[round] = (cpu_us(server) - start_us) / (double)count;
   }
-  for (size_t i = 0; i < count; i++) {
-    load_free(sides[i].load);
-    bench_figure(bench_median_of(sides[i].rate_per_s, ROUNDS), "requests/s", "service.many.%s.rate",
-                 sides[i].name);
-    report_percentiles(&sides[i], "many", "");
-    bench_figure(bench_median_of(sides[i].cpu_us, ROUNDS), "us", "service.many.%s.cpu",
-                 sides[i].name);
+  for (size_t i = 0; i < CONNECTIONS; i++) {
+    close(fd[i]);
   }
+  bench_figure(bench_median(rates_per_s, ROUNDS), "requests/s", "service.many.rate");
+  bench_figure(bench_median(cpus_us, ROUNDS), "us", "service.many.cpu");
 }
-
-/* ---- scaling ------------------------------------------------------------------------------ */
 
 /* Returns how many requests a second the clients get answered, each in a process of its own. */
-static double rate_of_clients(const struct target *target, unsigned clients) {
+static double rate_of_clients(const char *name, pid_t server, const struct exchange *exchange,
+                              unsigned clients) {
   double sum = 0, rate;
   pid_t children[SCALE_MOST];
   int ends[2];
@@ -303,16 +409,16 @@ static double rate_of_clients(const struct target *target, unsigned clients) {
     bench_fail("there is no pipe");
   }
   for (unsigned i = 0; i < clients; i++) {
-    children[i] = child_fork(CHILD_ANYWHERE);
+    const int fd = connect_to(name, server);
+    children[i] = fork_child(ANYWHERE);
     if (children[i] == 0) {
-      struct ping ping;
-      ping_open(&ping, target);
-      ping_run(&ping, WARM_UP_NS, &samples);
+      ping(fd, exchange, WARM_UP_NS);
       const uint64_t start_ns = bench_now_ns();
-      ping_run(&ping, ROUND_NS, &samples);
-      rate = (double)samples.count * 1e9 / (double)(bench_now_ns() - start_ns);
+      const double count = (double)ping(fd, exchange, ROUND_NS);
+      rate = count * 1e9 / (double)(bench_now_ns() - start_ns);
       _exit(write(ends[1], &rate, sizeof rate) != sizeof rate);
     }
+    close(fd);
   }
   close(ends[1]);
   while (read(ends[0], &rate, sizeof rate) == sizeof rate) {
@@ -320,74 +426,55 @@ static double rate_of_clients(const struct target *target, unsigned clients) {
   }
   close(ends[0]);
   for (unsigned i = 0; i < clients; i++) {
-    child_end(children[i]);
+    waitpid(children[i], NULL, 0);
   }
   return sum;
 }
 
-static void measure_scale(const struct setting *setting) {
-  const long cores = sysconf(_SC_NPROCESSORS_ONLN);
-  const unsigned half = cores < 4 ? 1 : (unsigned)cores / 2;
-  const unsigned counts[] = {1, half < SCALE_MOST ? half : SCALE_MOST};
+static void measure_scale(const struct exchange *exchange) {
   static const char *const names[] = {"one", "all"};
-  struct daemon daemons[2];
-  struct target targets[] = {setting->bulk, setting->bulk};
+  const unsigned half = (unsigned)CPU_COUNT(&cores) / 2;
+  const unsigned workers[] = {1, half < 1 ? 1 : half < SCALE_MOST ? half : SCALE_MOST};
   double rates[2][ROUNDS];
-  bench_progress("service: scaling");
-  child_pin(CHILD_ANYWHERE);
+  pid_t servers[2];
+  bench_progress("scale");
+  pin(ANYWHERE);
   for (size_t i = 0; i < 2; i++) {
-    daemon_start(&daemons[i], CHILD_ANYWHERE, names[i], counts[i]);
-    targets[i].address = daemons[i].at_unix;
+    servers[i] = start_daemon(names[i], ANYWHERE, workers[i]);
   }
-  for (size_t round = 0; round < ROUNDS; round++) {
-    for (size_t i = 0; i < 2; i++) {
-      rates[i][round] = rate_of_clients(&targets[i], counts[i]);
-    }
+  for (size_t i = 0; i < 2 * ROUNDS; i++) {
+    rates[i % 2][i / 2] = rate_of_clients(names[i % 2], servers[i % 2], exchange, workers[i % 2]);
   }
   for (size_t i = 0; i < 2; i++) {
-    daemon_end(&daemons[i]);
+    end_child(servers[i]);
     bench_figure(bench_median_of(rates[i], ROUNDS), "requests/s", "service.scale.%s", names[i]);
   }
-  bench_figure(counts[1], "workers", "service.scale.workers");
+  bench_figure(workers[1], "workers", "service.scale.workers");
   bench_figure(bench_median_ratio(rates[1], rates[0], ROUNDS), "times", "ratio.service.scale");
 }
 
-/* ---- all of them -------------------------------------------------------------------------- */
-
-static void start_servers(struct setting *setting) {
-  target_make_eval(&setting->eval, SMALL_RADII);
-  target_make_eval(&setting->bulk, BULK_RADII);
-  target_make_echo(&setting->echo, &setting->eval);
-  target_make_echo(&setting->bulk_echo, &setting->bulk);
-  daemon_start(&setting->daemon, CHILD_SERVER, "dipoled", 1);
-  setting->eval.address = setting->bulk.address = setting->daemon.at_unix;
-  setting->eval.server = setting->bulk.server = setting->daemon.child;
-  setting->echo.address = target_unix(child_path("echo"));
-  setting->bulk_echo.address = target_unix(child_path("bulk-echo"));
-  echo_start(&setting->echo);
-  echo_start(&setting->bulk_echo);
-}
-
 void bench_service(void) {
-  static struct setting setting;
-  child_begin(LIMIT_S);
-  start_servers(&setting);
-  child_pin(CHILD_CLIENT);
-  measure_bulk(&setting.bulk, &setting.bulk_echo, NULL, "bulk");
-  measure_bulk_tcp(&setting);
-  measure_varying(&setting, CORE_MODEL_BETTER, "varying.better");
-  measure_varying(&setting, CORE_MODEL_TRANSPORT, "varying.transport");
-  measure_rtt(&setting, "");
-  measure_many(&setting);
-  child_pin(CHILD_SERVER);
-  measure_bulk(&setting.bulk, &setting.bulk_echo, NULL, "bulk.onecore");
-  measure_rtt(&setting, ".onecore");
-  daemon_end(&setting.daemon);
-  measure_scale(&setting);
-  child_end_all();
-  target_free(&setting.eval);
-  target_free(&setting.echo);
-  target_free(&setting.bulk);
-  target_free(&setting.bulk_echo);
-  samples_free(&samples);
+  signal(SIGPIPE, SIG_IGN);
+  if (sched_getaffinity(0, sizeof cores, &cores) != 0 || mkdtemp(folder) == NULL) {
+    bench_fail("cannot find the cores, or make a folder in /tmp");
+  }
+  profile = bench_profile(core_isa_select(NULL), CORE_MODEL_BETTER, CORE_EVALUATOR_F32);
+  const pid_t server = start_daemon("dipoled", FIRST_CORE, 1);
+  const int fd = connect_to("dipoled", server);
+  const struct exchange bulk = make_exchange(BULK_RADII, fd);
+  const struct exchange small = make_exchange(SMALL_RADII, fd);
+  close(fd);
+  pin(LAST_CORE);
+  measure_pings(&bulk, server, true, "bulk");
+  measure_pings(&small, server, false, "rtt");
+  measure_many(&small, server);
+  pin(FIRST_CORE);
+  measure_pings(&bulk, server, true, "bulk.onecore");
+  measure_pings(&small, server, false, "rtt.onecore");
+  end_child(server);
+  measure_scale(&bulk);
+  rmdir(folder);
+  free_exchange(&bulk);
+  free_exchange(&small);
+  core_profile_free(&profile);
 }
