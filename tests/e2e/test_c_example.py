@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import csv
 import os
-import re
 import shutil
 import subprocess
 from pathlib import Path
@@ -149,13 +148,11 @@ def test_the_example_without_an_output(installed, irradiance, shared, closing, s
 
 def test_the_readme(installed, tmp_path, shared):
     (block,) = [block for block in blocks() if block.startswith("#include <dipole.h>")]
-    block = re.sub(r'"unix:/run.*?"', "argv[1]", block)
-    block = block.replace("main(void) {", "main(int argc, char **argv) {(void)argc;")
     (tmp_path / "readme.c").write_text(block)
     (tmp_path / "built").mkdir()
     program = tmp_path / "built/readme"
     installed.compile(["cc", "-std=c17", "-Wall", "-Wextra"], tmp_path / "readme.c", program)
-    lines = installed.run(program, shared.url()).splitlines()
+    lines = installed.run(program).splitlines()
     with shared.client() as client:
         R = client.eval("transport", (0.05, 9.5, 0.9, 1.4), [0.1, 1.0, 5.0], evaluator="lut").R[0]
     assert lines == [f"{r} mm: {value:.6g} 1/mm^2" for r, value in zip((0.1, 1, 5), R)]
