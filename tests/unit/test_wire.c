@@ -139,12 +139,6 @@ static void assert_choices_hold(enum wire_choice_kind kind, const core_choice *l
 
 /* The choices are all lists of core, complete, and then the statuses. */
 UNIT_TEST(choices_hold_every_list) {
-  static const core_choice wire_statuses[] = {
-#define WIRE_STATUS(code, IDENT, modbus_exception, http, name, text) {code, name, text},
-#include "proto/statuses.def"
-#undef WIRE_STATUS
-      {0, NULL, NULL},
-  };
   size_t index = 0;
 #define WIRE_LIST(kind, IDENT, name, list) assert_choices_hold(kind, list, &index);
 #include "proto/messages.def"
