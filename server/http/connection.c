@@ -441,20 +441,19 @@ static bool find_route(const char *url, struct route *route) {
 /* Translates a request into the payload of a message. */
 static wire_error translate(struct http_connection *c, uint32_t *deadline_ms) {
   static char none[1];
-  struct http_values values;
+  const size_t most = (size_t)options_of(c)->max_part_bytes;
+  wire_error error;
   if (c->query.failed) {
     return wire_error_busy("max_total_bytes", "less data at a time: the buffers are full", 1000);
   }
-  wire_error error =
-      c->has_body
-          ? http_values_parse(&values, c->body.bytes != NULL ? c->body.bytes : "", c->body.count,
-                              (size_t)options_of(c)->max_part_bytes / BRACKET_BYTES)
-          : http_values_parse_query(&values, c->query.count > 0 ? c->query.bytes : none);
-  if (error.status == WIRE_STATUS_OK) {
-    error = http_request_translate(c->route.message, &values, &c->payload,
-                                   (size_t)options_of(c)->max_part_bytes, deadline_ms,
-                                   &c->g_is_default);
-    http_values_free(&values);
+  json_t *values =
+      c->has_body ? http_values_parse(c->body.bytes != NULL ? c->body.bytes : "", c->body.count,
+                                      most / BRACKET_BYTES, &error)
+                  : http_values_parse_query(c->query.count > 0 ? c->query.bytes : none, &error);
+  if (values != NULL) {
+    error = http_request_translate(c->route.message, values, !c->has_body, &c->payload, most,
+                                   deadline_ms, &c->g_is_default);
+    json_decref(values);
   }
   http_text_free(&c->body);
   return error;

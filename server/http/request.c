@@ -52,7 +52,9 @@ bool http_request_has_parameters(const schema_payload *request) {
 
 struct translation {
   const schema_message *message;
-  const struct http_values *values;
+  const json_t *values;
+  bool in_query;     /* whether the values are those of a query */
+  uint64_t initials; /* of their names: bit i is set if the first byte modulo 64 is i */
   struct http_text *payload;
   size_t bytes_max; /* most bytes of the payload */
   uint32_t medium_count;
@@ -83,8 +85,13 @@ static wire_error not_a_number(const char *field) {
   return bad_value(field, "a number, with a point as in 0.05 (0,05 is two), or inf or -inf");
 }
 
-static struct http_value value_of(const struct translation *t, const char *name) {
-  return http_values_get(t->values, name);
+/* Returns NULL if a value is not given, as most that are looked for. */
+static const json_t *value_of(const struct translation *t, const char *name) {
+  return (t->initials >> (name[0] & 63) & 1) != 0 ? json_object_get(t->values, name) : NULL;
+}
+
+static bool read_number(const struct translation *t, const json_t *value, double *number) {
+  return http_value_number(value, t->in_query, number);
 }
 
 /* Writes a number of so many bytes, the lowest first. */
@@ -162,14 +169,15 @@ static wire_error eta_of_fit(void) {
 
 /* Adds a layer of coefficients, the next element of each. layer: what holds without them; an eta of NAN
  * has to be given. */
-static bool add_coefficients(struct translation *t, struct http_elements elements[COEFFICIENTS],
+static bool add_coefficients(struct translation *t, const json_t *values, size_t element,
                              size_t index, wire_medium layer) {
   double *const to[COEFFICIENTS] = {&layer.sigma_a, &layer.sigma_s, &layer.g, &layer.eta,
                                     &layer.thickness};
   for (int i = 0; i < COEFFICIENTS; i++) {
     const char *name = medium_fields[i].name;
-    if (http_value_given(elements[i].list)) {
-      if (!http_elements_number(&elements[i], to[i])) {
+    const json_t *list = json_object_get(values, name);
+    if (list != NULL) {
+      if (!read_number(t, http_value_at(list, element), to[i])) {
         return fail_at(t, not_a_number(name), index);
       }
     } else if (i < 2) {
@@ -183,67 +191,58 @@ static bool add_coefficients(struct translation *t, struct http_elements element
   return add_layer(t, &layer);
 }
 
-static void find_coefficients(const struct http_values *values,
-                              struct http_elements elements[COEFFICIENTS]) {
-  for (int i = 0; i < COEFFICIENTS; i++) {
-    elements[i] = http_elements_of(http_values_get(values, medium_fields[i].name));
-  }
-}
-
-static bool is_coefficient(const void *context, const char *name) {
-  const struct http_values *values = context;
+static bool is_coefficient(const char *name, const json_t *value) {
   for (int i = 0; i < COEFFICIENTS; i++) {
     if (http_values_same(name, medium_fields[i].name)) {
-      return !json_is_array(http_values_get(values, name).json);
+      return !json_is_array(value);
     }
   }
   return false;
 }
 
 /* Adds a layer from an object with its coefficients. usual_eta: NAN if there is none. */
-static bool add_object(struct translation *t, const char *field, struct http_value value,
-                       size_t index, double usual_eta) {
-  struct http_values values;
-  struct http_elements elements[COEFFICIENTS];
-  if (!http_values_of_object(&values, value)) {
+static bool add_object(struct translation *t, const char *field, const json_t *value, size_t index,
+                       double usual_eta) {
+  const char *name;
+  json_t *member;
+  if (!json_is_object(value)) {
     return fail_at(t, bad_value(field, "names of /v1/media, or objects of coefficients"), index);
   }
-  if (http_values_unknown(&values, is_coefficient, &values) != NULL) {
-    return fail_at(
-        t, bad_value(field, "objects of sigma_a, sigma_s, g, eta, thickness, each one number"),
-        index);
+  json_object_foreach((json_t *)(uintptr_t)value, name, member) {
+    if (!is_coefficient(name, member)) {
+      return fail_at(
+          t, bad_value(field, "objects of sigma_a, sigma_s, g, eta, thickness, each one number"),
+          index);
+    }
   }
-  find_coefficients(&values, elements);
-  return add_coefficients(t, elements, index,
+  return add_coefficients(t, value, 0, index,
                           (wire_medium){.eta = usual_eta, .thickness = t->thickness_mm});
 }
 
 /* Writes the known medium of a fit, which has one with scale `reference` alone. */
 static bool add_reference(struct translation *t) {
-  const struct http_value object = value_of(t, "reference"), scale = value_of(t, "scale");
+  const json_t *object = value_of(t, "reference"), *scale = value_of(t, "scale");
   uint64_t id = 0;
   if (t->message->type != WIRE_TYPE_FIT) {
     return true;
   }
-  if (http_value_given(scale) &&
+  if (scale != NULL &&
       !was_read(t, http_value_read_choice(scale, "scale", core_fit_scales, false, &id))) {
     return false;
   }
-  if ((id == CORE_FIT_SCALE_REFERENCE) != json_is_object(object.json)) {
+  if ((id == CORE_FIT_SCALE_REFERENCE) != json_is_object(object)) {
     return fail_with(
         t, bad_value("reference", "with scale reference an object of coefficients, else nothing"));
   }
-  return !http_value_given(object) || add_object(t, "reference", object, 0, (double)NAN);
+  return object == NULL || add_object(t, "reference", object, 0, (double)NAN);
 }
 
 /* Reads lists of coefficients. A list of one holds for all media. */
 static bool add_media_lists(struct translation *t) {
-  struct http_elements elements[COEFFICIENTS];
   size_t count = 1;
   bool good = true;
-  find_coefficients(t->values, elements);
   for (int i = 0; i < COEFFICIENTS; i++) {
-    const size_t length = http_value_count(elements[i].list);
+    const size_t length = http_value_count(value_of(t, medium_fields[i].name));
     if (length == 0 || (count > 1 && length > 1 && length != count)) {
       return fail_with(t, wire_error_make(WIRE_STATUS_BAD_COUNT, medium_fields[i].name,
                                           "one value, or as many as the others"));
@@ -251,46 +250,44 @@ static bool add_media_lists(struct translation *t) {
     count = length > count ? length : count;
   }
   for (size_t i = 0; good && i < count; i++) {
-    good =
-        begin_medium(t, 1, i) && add_coefficients(t, elements, i, (wire_medium){.eta = USUAL_ETA});
+    good = begin_medium(t, 1, i) &&
+           add_coefficients(t, t->values, i, i, (wire_medium){.eta = USUAL_ETA});
   }
   return good;
 }
 
 /* Adds a medium: an object, or a list of them, one for each layer. */
-static bool add_medium(struct translation *t, struct http_value item, size_t index) {
+static bool add_medium(struct translation *t, const json_t *item, size_t index) {
   const size_t layers = http_value_count(item);
-  struct http_elements elements = http_elements_of(item);
   bool good = begin_medium(t, layers, index);
   for (size_t i = 0; good && i < layers; i++) {
-    good = add_object(t, "medium", http_elements_next(&elements), index, USUAL_ETA);
+    good = add_object(t, "medium", http_value_at(item, i), index, USUAL_ETA);
   }
   return good;
 }
 
 /* Adds the media: by names, or by coefficients. A thickness of its own is that of media without one. */
 static bool add_media(struct translation *t) {
-  const struct http_value media = value_of(t, "medium"), thickness = value_of(t, "thickness");
+  const json_t *media = value_of(t, "medium"), *thickness = value_of(t, "thickness");
   if (http_request_media(t->message->request) == 0) {
     return true;
   }
-  if (!http_value_given(media)) {
+  if (media == NULL) {
     return add_media_lists(t);
   }
   for (int i = 0; i + 1 < COEFFICIENTS; i++) {
-    if (http_value_given(value_of(t, medium_fields[i].name))) {
+    if ((value_of(t, medium_fields[i].name) != NULL)) {
       return fail_with(t, bad_value(medium_fields[i].name, "nothing beside medium"));
     }
   }
-  if (http_value_given(thickness) && !http_value_number(thickness, &t->thickness_mm)) {
+  if (thickness != NULL && !read_number(t, thickness, &t->thickness_mm)) {
     return fail_with(t, not_a_number("thickness"));
   }
-  struct http_elements elements = http_elements_of(media);
   const size_t count = http_value_count(media);
   bool good = true;
   for (size_t i = 0; good && i < count; i++) {
-    const struct http_value item = http_elements_next(&elements);
-    const char *name = http_value_text(item);
+    const json_t *item = http_value_at(media, i);
+    const char *name = json_string_value(item);
     good = name != NULL ? add_measured(t, name, i) : add_medium(t, item, i);
   }
   return good;
@@ -318,19 +315,19 @@ static const schema_field *shown_field(const schema_message *message, const char
 
 static bool add_parameters(struct translation *t) {
   for (const core_choice *one = core_parameter_list; one->name != NULL; one++) {
-    const struct http_value value = value_of(t, one->name);
+    const json_t *value = value_of(t, one->name);
     wire_parameter parameter = {.parameter = (uint16_t)one->id};
     const core_choice *list = choices_of_parameter(one->id);
-    if (!http_value_given(value) || !http_request_has_parameters(t->message->request) ||
+    if (value == NULL || !http_request_has_parameters(t->message->request) ||
         shown_field(t->message, one->name) != NULL) {
       continue;
     }
     uint64_t id = 0;
-    const bool named = list != NULL && http_value_text(value) != NULL;
+    const bool named = list != NULL && json_string_value(value) != NULL;
     if (named && !was_read(t, http_value_read_choice(value, one->name, list, false, &id))) {
       return false;
     }
-    if (!named && !http_value_number(value, &parameter.value)) {
+    if (!named && !read_number(t, value, &parameter.value)) {
       return fail_with(t, not_a_number(one->name));
     }
     parameter.value = list != NULL && id > 0 ? (double)id : parameter.value;
@@ -363,24 +360,24 @@ static const schema_part *ruled_list(const schema_message *message, const char *
 
 /* Returns whether the media of a varying request are given by colours. */
 static bool is_coloured(const struct translation *t) {
-  return http_value_given(value_of(t, "colour"));
+  return (value_of(t, "colour") != NULL);
 }
 
 /* Returns what the third array of a varying request holds. */
 static enum varying_numbers numbers_of(const struct translation *t) {
-  return http_value_given(value_of(t, "r"))   ? VARYING_RADII
-         : http_value_given(value_of(t, "u")) ? VARYING_DRAWN
-                                              : VARYING_NONE;
+  return (value_of(t, "r") != NULL)   ? VARYING_RADII
+         : (value_of(t, "u") != NULL) ? VARYING_DRAWN
+                                      : VARYING_NONE;
 }
 
 /* Returns whether the usual evaluator is the table: for transport, named or not, where the table can
  * be as exact as the tolerance. */
 static bool is_tabled(const struct translation *t) {
-  const struct http_value model = value_of(t, "model");
+  const json_t *model = value_of(t, "model");
   uint64_t id = CORE_MODEL_TRANSPORT;
   double tolerance;
-  http_value_number(value_of(t, "tolerance"), &tolerance); /* NaN: not given */
-  if (http_value_given(model)) {
+  read_number(t, value_of(t, "tolerance"), &tolerance); /* NaN: not given */
+  if (model != NULL) {
     /* a wrong name is refused later */
     http_value_read_choice(model, "model", core_models, false, &id);
   }
@@ -390,7 +387,7 @@ static bool is_tabled(const struct translation *t) {
 /* Returns whether the request leaves the choice of the model to its tolerance. */
 static bool chooses_by_tolerance(const struct translation *t) {
   return t->message->type == WIRE_TYPE_OFFERS ||
-         (t->message->type == WIRE_TYPE_EVAL && http_value_given(value_of(t, "tolerance")));
+         (t->message->type == WIRE_TYPE_EVAL && (value_of(t, "tolerance") != NULL));
 }
 
 /* What holds for the quantities and coefficients of a varying request that leaves them out. */
@@ -408,7 +405,7 @@ static unsigned usual_of_varying(const struct translation *t, const char *field)
 static unsigned usual_choice(const struct translation *t, const schema_field *field) {
   const bool varying = t->message->type == WIRE_TYPE_VARYING;
   const schema_part *list = ruled_list(t->message, field->name);
-  if (list != NULL && http_value_given(value_of(t, list->name))) {
+  if (list != NULL && (value_of(t, list->name) != NULL)) {
     return (unsigned)list->is;
   }
   if (varying && field->bits) {
@@ -427,12 +424,12 @@ static unsigned usual_choice(const struct translation *t, const schema_field *fi
 }
 
 static bool read_choice(struct translation *t, const schema_field *field, uint64_t *number) {
-  const struct http_value value = value_of(t, field->name);
+  const json_t *value = value_of(t, field->name);
   const schema_part *list = ruled_list(t->message, field->name);
-  if (http_value_given(value)) {
+  if (value != NULL) {
     return was_read(t,
                     http_value_read_choice(value, field->name, field->list, field->bits, number)) &&
-           (list == NULL || !http_value_given(value_of(t, list->name)) || *number == list->is ||
+           (list == NULL || !(value_of(t, list->name) != NULL) || *number == list->is ||
             fail_with(t, bad_value(field->name, "list, beside a list of numbers")));
   }
   *number = usual_choice(t, field);
@@ -444,16 +441,16 @@ static bool read_choice(struct translation *t, const schema_field *field, uint64
 static bool read_plain(struct translation *t, const schema_field *field, uint64_t *number) {
   static const uint64_t most[] = {
       [SCHEMA_u16] = UINT16_MAX, [SCHEMA_u32] = UINT32_MAX, [SCHEMA_u64] = UINT64_MAX};
-  const struct http_value value = value_of(t, field->name);
+  const json_t *value = value_of(t, field->name);
   double real = field->usual;
   bool good = true;
   if (field->kind != SCHEMA_f64) {
     *number = (uint64_t)real;
-    return !http_value_given(value) ||
+    return value == NULL ||
            was_read(t, http_value_read_count(value, field->name, most[field->kind], number));
   }
-  if (http_value_given(value)) {
-    good = http_value_number(value, &real) || fail_with(t, not_a_number(field->name));
+  if (value != NULL) {
+    good = read_number(t, value, &real) || fail_with(t, not_a_number(field->name));
   } else if (field->required) {
     return fail_with(t, eta_of_fit());
   } else {
@@ -464,12 +461,12 @@ static bool read_plain(struct translation *t, const schema_field *field, uint64_
 }
 
 /* Returns whether a list of numbers is one of JSON, with a list for each set or channel. */
-static bool is_nested(struct http_value list) {
-  return json_is_array(json_array_get(list.json, 0));
+static bool is_nested(const json_t *list) {
+  return json_is_array(json_array_get(list, 0));
 }
 
 /* Returns how many sets of readings, or channels, a list has. */
-static size_t sets_of(struct http_value list) {
+static size_t sets_of(const json_t *list) {
   return is_nested(list) ? http_value_count(list) : 1;
 }
 
@@ -480,8 +477,8 @@ static size_t longest(const struct translation *t) {
   size_t count = 0;
   for (unsigned i = 0; (part = http_request_list(t->message->request, i, &name)) != NULL; i++) {
     const bool counts = part->form == SCHEMA_EACH || part->form == SCHEMA_POSITIONS;
-    const struct http_value value = value_of(t, name);
-    const size_t length = counts && http_value_given(value) ? http_value_count(value) : 0;
+    const json_t *value = value_of(t, name);
+    const size_t length = counts && value != NULL ? http_value_count(value) : 0;
     count = length > count ? length : count;
   }
   return count;
@@ -498,10 +495,10 @@ static uint64_t counted(const struct translation *t, const schema_field *field) 
         (second == NULL || !http_values_same(second, field->name))) {
       continue;
     }
-    const struct http_value list = value_of(t, part->name);
+    const json_t *list = value_of(t, part->name);
     return part->form == SCHEMA_EACH || part->form == SCHEMA_POSITIONS  ? longest(t)
            : part->form == SCHEMA_CHANNELS || part->form == SCHEMA_SETS ? sets_of(list)
-           : part->kind != SCHEMA_LIST && http_value_given(list)        ? http_value_count(list)
+           : part->kind != SCHEMA_LIST && list != NULL                  ? http_value_count(list)
            : http_values_same(part->name, "medium")                     ? t->medium_count
            : http_values_same(part->name, "parameter")                  ? t->parameter_count
                                                                         : 0;
@@ -526,10 +523,10 @@ static bool read_field(struct translation *t, const schema_field *field, uint64_
     return true;
   }
   const schema_part *list = ruled_list(t->message, field->name);
-  const struct http_value values = value_of(t, list != NULL ? list->name : "");
-  if (http_value_given(values)) {
+  const json_t *values = value_of(t, list != NULL ? list->name : "");
+  if (values != NULL) {
     *number = http_value_count(values);
-    return !http_value_given(value_of(t, field->name)) ||
+    return !(value_of(t, field->name) != NULL) ||
            fail_with(t, bad_value(field->name, "nothing beside the list that it counts"));
   }
   return read_plain(t, field, number);
@@ -539,10 +536,10 @@ enum { NAME_DIGITS = 32 };
 
 /* Reads the name of a set, which a request that sends the points may leave out. */
 static bool put_name(struct translation *t, const schema_field *field, uint8_t *at) {
-  const struct http_value value = value_of(t, field->name);
-  const char *digits = http_value_given(value) ? http_value_text(value) : "";
+  const json_t *value = value_of(t, field->name);
+  const char *digits = value != NULL ? json_string_value(value) : "";
   const size_t count = digits != NULL ? strlen(digits) : 0;
-  if (!http_value_given(value) && t->message->type != WIRE_TYPE_GATHER) {
+  if (value == NULL && t->message->type != WIRE_TYPE_GATHER) {
     return true;
   }
   if (count != NAME_DIGITS || strspn(digits, "0123456789abcdef") != count) {
@@ -578,8 +575,7 @@ static bool put_fixed(struct translation *t, const schema_field *fields, size_t 
 
 /* ---- all of it ------------------------------------------------------------------------------- */
 
-static bool is_known(const void *context, const char *key) {
-  const schema_message *message = context;
+static bool is_known(const schema_message *message, const char *key) {
   const char *name;
   for (unsigned i = 0; http_request_list(message->request, i, &name) != NULL; i++) {
     if (http_values_same(name, key)) {
@@ -604,39 +600,44 @@ static bool can_be_named(const char *key) {
 }
 
 static bool check_keys(struct translation *t) {
-  const char *key = http_values_unknown(t->values, is_known, t->message);
-  return key == NULL ||
-         fail_with(t, bad_value(can_be_named(key) ? key : "body",
-                                "only fields that /v1/openapi.json lists for this request"));
+  const char *key;
+  json_t *value;
+  json_object_foreach((json_t *)(uintptr_t)t->values, key, value) {
+    t->initials |= UINT64_C(1) << (key[0] & 63);
+    if (!is_known(t->message, key)) {
+      return fail_with(t, bad_value(can_be_named(key) ? key : "body",
+                                    "only fields that /v1/openapi.json lists for this request"));
+    }
+  }
+  return true;
 }
 
 /* Checks that a varying request has one pair of lists for its media, and at most one list of
  * numbers. */
 static bool check_pairs(struct translation *t) {
-  const bool coloured = is_coloured(t) || http_value_given(value_of(t, "length"));
+  const bool coloured = is_coloured(t) || (value_of(t, "length") != NULL);
   const char *const wanted[] = {coloured ? "colour" : "sigma_a", coloured ? "length" : "sigma_s"};
   const char *const others[] = {coloured ? "sigma_a" : "given", coloured ? "sigma_s" : "light"};
   for (int i = 0; i < 2; i++) {
-    if (http_value_given(value_of(t, others[i]))) {
+    if ((value_of(t, others[i]) != NULL)) {
       return fail_with(t, bad_value(others[i], coloured ? "nothing beside colour and length"
                                                         : "nothing beside sigma_a and sigma_s"));
     }
-    if (!http_value_given(value_of(t, wanted[i]))) {
+    if (!(value_of(t, wanted[i]) != NULL)) {
       return fail_with(
           t, bad_value(wanted[i], "numbers: give sigma_a and sigma_s, or colour and length"));
     }
   }
-  return !http_value_given(value_of(t, "r")) || !http_value_given(value_of(t, "u")) ||
+  return !(value_of(t, "r") != NULL) || !(value_of(t, "u") != NULL) ||
          fail_with(t, bad_value("u", "nothing beside r"));
 }
 
 /* Writes `count` numbers, each of them `step` bytes behind the last: those of a list, or, if `spreads`,
  * its only one again and again. */
-static bool put_numbers(struct translation *t, const char *name, struct http_value list,
-                        size_t count, bool spreads, uint8_t *at, size_t step, bool single) {
+static bool put_numbers(struct translation *t, const char *name, const json_t *list, size_t count,
+                        bool spreads, uint8_t *at, size_t step, bool single) {
   const size_t length = http_value_count(list);
-  struct http_elements elements = http_elements_of(list);
-  if (!http_value_given(list)) {
+  if (list == NULL) {
     return fail_with(t, bad_value(name, "numbers: it has to be given"));
   }
   if (length != count && !(spreads && length == 1)) {
@@ -646,7 +647,7 @@ static bool put_numbers(struct translation *t, const char *name, struct http_val
   }
   for (size_t i = 0; i < count; i++, at += step) {
     double number;
-    if (!http_elements_number(&elements, &number)) {
+    if (!read_number(t, http_value_at(list, i), &number)) {
       return fail_at(t, not_a_number(name), i);
     }
     const float rounded = (float)number;
@@ -663,8 +664,8 @@ static bool put_numbers(struct translation *t, const char *name, struct http_val
 static size_t first_count(const struct translation *t) {
   const char *name;
   http_request_list(t->message->request, 0, &name);
-  const struct http_value first = value_of(t, name);
-  return http_value_given(first) ? http_value_count(first) : 0;
+  const json_t *first = value_of(t, name);
+  return first != NULL ? http_value_count(first) : 0;
 }
 
 /* Writes a part that is lists of numbers: the sets of readings one after the other, the coordinates
@@ -674,8 +675,8 @@ static bool add_lists(struct translation *t, const schema_part *part, bool singl
   const bool positions = part->form == SCHEMA_POSITIONS;
   const bool sides = positions || part->form == SCHEMA_CHANNELS;
   const bool spreads = sides || part->form == SCHEMA_EACH;
-  const struct http_value value = value_of(t, part->name);
-  const bool given = positions || http_value_given(value);
+  const json_t *value = value_of(t, part->name);
+  const bool given = positions || value != NULL;
   if (!given && (part->form == SCHEMA_EACH || part->when.name != NULL)) {
     return true;
   }
@@ -687,10 +688,9 @@ static bool add_lists(struct translation *t, const schema_part *part, bool singl
   uint8_t *at = add_bytes(t, (size_t)wire_padded(count * sets * bytes));
   bool good = at != NULL;
   for (size_t i = 0; good && i < sets && (given || part->form != SCHEMA_ZEROS); i++) {
-    const struct http_value list = positions ? value_of(t, axes[i])
-                                   : nests && is_nested(value)
-                                       ? (struct http_value){.json = json_array_get(value.json, i)}
-                                       : value;
+    const json_t *list = positions                   ? value_of(t, axes[i])
+                         : nests && is_nested(value) ? json_array_get(value, i)
+                                                     : value;
     good =
         put_numbers(t, positions ? axes[i] : part->name, list, count, spreads,
                     at + (sides ? i : i * count) * bytes, sides ? sets * bytes : bytes, short_ones);
@@ -703,7 +703,7 @@ static void name_points(struct translation *t) {
   wire_points_request fixed;
   uint8_t *at = (uint8_t *)t->payload->bytes;
   wire_get_points_request(at, &fixed);
-  if (!http_value_given(value_of(t, "set"))) {
+  if (!(value_of(t, "set") != NULL)) {
     const uint8_t *xyz = at + WIRE_BYTES_points_request;
     const uint8_t *power = xyz + fixed.point_count * GATHER_AXES * sizeof(double);
     gather_name name;
@@ -716,9 +716,9 @@ static void name_points(struct translation *t) {
 }
 
 static bool read_deadline(struct translation *t, uint32_t *deadline_ms) {
-  const struct http_value value = value_of(t, "deadline_ms");
+  const json_t *value = value_of(t, "deadline_ms");
   uint64_t limit_ms = 0;
-  const bool good = !http_value_given(value) ||
+  const bool good = value == NULL ||
                     was_read(t, http_value_read_count(value, "deadline_ms", UINT32_MAX, &limit_ms));
   *deadline_ms = (uint32_t)limit_ms;
   return good;
@@ -750,11 +750,14 @@ static bool put_all(struct translation *t, uint32_t *deadline_ms) {
   return good;
 }
 
-wire_error http_request_translate(const schema_message *message, const struct http_values *values,
-                                  struct http_text *payload, size_t bytes_max,
+wire_error http_request_translate(const schema_message *message, const json_t *values,
+                                  bool in_query, struct http_text *payload, size_t bytes_max,
                                   uint32_t *deadline_ms, bool *g_is_default) {
-  struct translation t = {
-      .message = message, .values = values, .payload = payload, .bytes_max = bytes_max};
+  struct translation t = {.message = message,
+                          .values = values,
+                          .in_query = in_query,
+                          .payload = payload,
+                          .bytes_max = bytes_max};
   *deadline_ms = 0;
   const bool good = put_all(&t, deadline_ms);
   *g_is_default = t.g_is_default;

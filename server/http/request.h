@@ -8,9 +8,9 @@
 #include "server/http/values.h"
 
 /* Writes the payload of a request, of at most bytes_max bytes, its deadline, and whether its g is a
- * default. The daemon checks the values when it serves the request. */
-wire_error http_request_translate(const schema_message *message, const struct http_values *values,
-                                  struct http_text *payload, size_t bytes_max,
+ * default. in_query: whether the values are those of a query. The daemon checks the values when it serves the request. */
+wire_error http_request_translate(const schema_message *message, const json_t *values,
+                                  bool in_query, struct http_text *payload, size_t bytes_max,
                                   uint32_t *deadline_ms, bool *g_is_default);
 
 /* The lists of numbers of a request in JSON: one for each part that has an `about`, but x, y and z for

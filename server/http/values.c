@@ -51,39 +51,31 @@ static void *allocate(size_t bytes) {
   return memory;
 }
 
-wire_error http_values_parse(struct http_values *values, const char *bytes, size_t count,
-                             size_t brackets_max) {
+static wire_error no_memory(void) {
+  return wire_error_busy("max_total_bytes", "less data at a time: there is no memory", 1000);
+}
+
+json_t *http_values_parse(const char *bytes, size_t count, size_t brackets_max, wire_error *error) {
   json_error_t why;
   char allowed[80];
-  const wire_error error = check_brackets(bytes, count, brackets_max);
-  if (error.status != WIRE_STATUS_OK) {
-    return error;
+  *error = check_brackets(bytes, count, brackets_max);
+  if (error->status != WIRE_STATUS_OK) {
+    return NULL;
   }
   lacks_memory = false;
   json_set_alloc_funcs(allocate, free);
   json_t *object = json_loadb(bytes, count, JSON_REJECT_DUPLICATES, &why);
   if (json_is_object(object)) {
-    values->object = object;
-    return error;
-  }
-  if (lacks_memory) {
-    json_decref(object);
-    return wire_error_busy("max_total_bytes", "less data at a time: there is no memory", 1000);
-  }
-  if (object != NULL) {
-    json_decref(object);
-    return bad_value("body", "a JSON object");
+    return object;
   }
   /* What jansson quotes of the text may end in the middle of a character. */
   const char *quoted = strstr(why.text, " near ");
   snprintf(allowed, sizeof allowed, "JSON (RFC 8259), which it is not at line %d: %.*s", why.line,
            (int)(quoted != NULL ? quoted - why.text : (ptrdiff_t)strlen(why.text)), why.text);
-  return bad_value("body", allowed);
-}
-
-bool http_values_of_object(struct http_values *values, struct http_value value) {
-  values->object = value.json;
-  return json_is_object(value.json);
+  *error =
+      lacks_memory ? no_memory() : bad_value("body", object != NULL ? "a JSON object" : allowed);
+  json_decref(object);
+  return NULL;
 }
 
 /* ---- queries --------------------------------------------------------------------------------- */
@@ -116,7 +108,24 @@ static size_t unescape(char *text) {
   return count;
 }
 
-static wire_error add_pair(struct http_values *values, char *pair) {
+/* Makes a text, or a list of texts, each of which ends with a zero byte. Returns NULL if there is no
+ * memory. */
+static json_t *make_value(const char *text, size_t count) {
+  if (count == 1) {
+    return json_string_nocheck(text);
+  }
+  json_t *list = json_array();
+  for (bool good = true; good && count > 0; count--, text += strlen(text) + 1) {
+    good = json_array_append_new(list, json_string_nocheck(text)) == 0;
+    if (!good) {
+      json_decref(list);
+      return NULL;
+    }
+  }
+  return list;
+}
+
+static wire_error add_pair(json_t *object, char *pair) {
   char *text = strchr(pair, '=');
   if (text == NULL) {
     return bad_value("query", "NAME=VALUE, with & between them");
@@ -129,148 +138,58 @@ static wire_error add_pair(struct http_values *values, char *pair) {
   if (name_count > 1) {
     return bad_value("query", "names without commas");
   }
-  _Static_assert(HTTP_QUERY_NAMES == 64, "the error says so");
-  if (values->name_count == HTTP_QUERY_NAMES || http_value_given(http_values_get(values, pair))) {
-    return bad_value("query", "at most 64 names, each once: a list has commas, as in r=0.5,1,2");
+  if (json_object_get(object, pair) != NULL) {
+    return bad_value("query", "each name once: a list has commas, as in r=0.5,1,2");
   }
-  values->initials |= UINT64_C(1) << (pair[0] & 63);
-  values->names[values->name_count].name = pair;
-  values->names[values->name_count++].value = (struct http_value){NULL, text, count};
-  return wire_error_none();
+  return json_object_set_new_nocheck(object, pair, make_value(text, count)) == 0 ? wire_error_none()
+                                                                                 : no_memory();
 }
 
-wire_error http_values_parse_query(struct http_values *values, char *query) {
-  values->object = NULL;
-  values->initials = 0;
-  values->name_count = 0;
-  for (char *pair = query, *next; pair != NULL; pair = next) {
-    next = strchr(pair, '&');
-    if (next != NULL) {
-      *next++ = '\0';
-    }
+json_t *http_values_parse_query(char *query, wire_error *error) {
+  json_t *object = json_object();
+  *error = object != NULL ? wire_error_none() : no_memory();
+  for (char *pair; error->status == WIRE_STATUS_OK && (pair = strsep(&query, "&")) != NULL;) {
     if (*pair != '\0') {
-      const wire_error error = add_pair(values, pair);
-      if (error.status != WIRE_STATUS_OK) {
-        return error;
-      }
+      *error = add_pair(object, pair);
     }
   }
-  return wire_error_none();
-}
-
-/* ---- names ----------------------------------------------------------------------------------- */
-
-void http_values_free(struct http_values *values) {
-  json_decref((json_t *)(uintptr_t)values->object);
-}
-
-struct http_value http_values_find(const struct http_values *values, const char *name) {
-  if (values->object != NULL) {
-    return (struct http_value){.json = json_object_get(values->object, name)};
+  if (error->status != WIRE_STATUS_OK) {
+    json_decref(object);
+    return NULL;
   }
-  for (size_t i = 0; i < values->name_count; i++) {
-    if (http_values_same(values->names[i].name, name)) {
-      return values->names[i].value;
-    }
-  }
-  return (struct http_value){0};
-}
-
-const char *http_values_unknown(const struct http_values *values,
-                                bool (*is_known)(const void *context, const char *name),
-                                const void *context) {
-  const char *name;
-  json_t *value;
-  json_object_foreach((json_t *)(uintptr_t)values->object, name, value) {
-    if (!is_known(context, name)) {
-      return name;
-    }
-  }
-  for (size_t i = 0; values->object == NULL && i < values->name_count; i++) {
-    if (!is_known(context, values->names[i].name)) {
-      return values->names[i].name;
-    }
-  }
-  return NULL;
-}
-
-/* ---- elements -------------------------------------------------------------------------------- */
-
-const char *http_value_text(struct http_value value) {
-  return value.count == 1 ? value.text : json_string_value(value.json);
-}
-
-size_t http_value_count(struct http_value value) {
-  return value.text != NULL          ? value.count
-         : json_is_array(value.json) ? json_array_size(value.json)
-                                     : 1;
-}
-
-struct http_elements http_elements_of(struct http_value value) {
-  return (struct http_elements){value, 0, value.text};
-}
-
-struct http_value http_elements_next(struct http_elements *elements) {
-  const struct http_value list = elements->list;
-  const bool is_array = json_is_array(list.json);
-  const char *text = elements->text;
-  if (list.text == NULL ? !is_array : list.count == 1) {
-    return list;
-  }
-  if (is_array) {
-    const size_t at = json_array_size(list.json) > 1 ? elements->next++ : 0;
-    return (struct http_value){.json = json_array_get(list.json, at)};
-  }
-  if (elements->next == list.count) {
-    return (struct http_value){0};
-  }
-  elements->next++;
-  elements->text += strlen(text) + 1;
-  return (struct http_value){.text = text, .count = 1};
+  return object;
 }
 
 /* ---- reading --------------------------------------------------------------------------------- */
 
-/* Reads a number from a text. One with a leading zero is none: a list 0,05 is meant as 0.05. */
-static bool read_text(const char *text, double *number) {
-  return !decimal_starts_with_zero(text) && decimal_read(text, number);
+size_t http_value_count(const json_t *value) {
+  return json_is_array(value) ? json_array_size(value) : 1;
 }
 
-bool http_value_number(struct http_value value, double *number) {
-  const char *text = http_value_text(value);
-  *number = (double)NAN;
-  if (json_is_number(value.json)) {
-    *number = json_number_value(value.json);
-  } else if (text != NULL &&
-             (value.text != NULL || strcmp(text, "inf") == 0 || strcmp(text, "-inf") == 0) &&
-             !read_text(text, number)) {
+const json_t *http_value_at(const json_t *value, size_t index) {
+  return json_is_array(value) ? json_array_get(value, json_array_size(value) > 1 ? index : 0)
+                              : value;
+}
+
+/* In a query, a number with a leading zero is none: a list 0,05 is meant as 0.05. */
+bool http_value_number(const json_t *value, bool in_query, double *number) {
+  const char *text = json_string_value(value);
+  *number = json_is_number(value) ? json_number_value(value) : (double)NAN;
+  if (text != NULL && (in_query || strcmp(text, "inf") == 0 || strcmp(text, "-inf") == 0) &&
+      (decimal_starts_with_zero(text) || !decimal_read(text, number))) {
     *number = (double)NAN;
   }
   return !isnan(*number);
 }
 
-bool http_elements_number(struct http_elements *elements, double *number) {
-  const struct http_value list = elements->list;
-  if (list.text == NULL || list.count == 1 || elements->next == list.count) {
-    return http_value_number(http_elements_next(elements), number);
-  }
-  const char *text = elements->text;
-  elements->next++;
-  elements->text += strlen(text) + 1;
-  if (!read_text(text, number)) {
-    *number = (double)NAN;
-  }
-  return !isnan(*number);
-}
-
-wire_error http_value_read_count(struct http_value value, const char *field, uint64_t most,
+wire_error http_value_read_count(const json_t *value, const char *field, uint64_t most,
                                  uint64_t *number) {
-  const char *text = http_value_text(value);
+  const char *text = json_string_value(value);
   char allowed[80];
   bool good = false;
-  if (json_is_integer(value.json)) {
-    good = json_integer_value(value.json) >= 0;
-    *number = (uint64_t)json_integer_value(value.json);
+  if (json_is_integer(value)) {
+    good = json_integer_value(value) >= 0;
+    *number = (uint64_t)json_integer_value(value);
   } else if (text != NULL && *text != '\0' && text[strspn(text, "0123456789")] == '\0' &&
              (text[0] != '0' || text[1] == '\0')) {
     errno = 0;
@@ -285,9 +204,9 @@ wire_error http_value_read_count(struct http_value value, const char *field, uin
 }
 
 /* Reads one entry of a list by its name or id. */
-static wire_error read_entry(struct http_value value, const char *field, const core_choice *list,
+static wire_error read_entry(const json_t *value, const char *field, const core_choice *list,
                              bool bits, uint64_t *id) {
-  const char *name = http_value_text(value);
+  const char *name = json_string_value(value);
   const core_choice *entry = name != NULL ? core_choice_by_name(list, name) : NULL;
   if (entry == NULL) {
     const wire_error error = http_value_read_count(value, field, UINT16_MAX, id);
@@ -300,18 +219,17 @@ static wire_error read_entry(struct http_value value, const char *field, const c
   return wire_error_none();
 }
 
-wire_error http_value_read_choice(struct http_value value, const char *field,
-                                  const core_choice *list, bool bits, uint64_t *number) {
+wire_error http_value_read_choice(const json_t *value, const char *field, const core_choice *list,
+                                  bool bits, uint64_t *number) {
   const size_t count = http_value_count(value);
-  struct http_elements elements = http_elements_of(value);
   wire_error error = wire_error_none();
   *number = 0;
-  if (!bits && (count != 1 || json_is_array(value.json))) {
+  if (!bits && (count != 1 || json_is_array(value))) {
     return bad_value(field, "one entry of its list");
   }
   for (size_t i = 0; error.status == WIRE_STATUS_OK && i < count; i++) {
     uint64_t id = 0;
-    error = read_entry(http_elements_next(&elements), field, list, bits, &id);
+    error = read_entry(http_value_at(value, i), field, list, bits, &id);
     error.index = i;
     *number |= id;
   }

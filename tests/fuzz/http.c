@@ -47,13 +47,12 @@ void fuzz_http(const uint8_t *data, size_t size) {
   CHECK(text != NULL);
   memcpy(text, data + MESSAGES_AT, size - MESSAGES_AT);
   text[size - MESSAGES_AT] = '\0';
-  struct http_values values;
-  error = is_body ? http_values_parse(&values, text, size - MESSAGES_AT, BRACKETS)
-                  : http_values_parse_query(&values, text);
-  if (error.status == WIRE_STATUS_OK) {
-    error =
-        http_request_translate(message, &values, &payload, PAYLOAD, &deadline_ms, &g_is_default);
-    http_values_free(&values);
+  json_t *values = is_body ? http_values_parse(text, size - MESSAGES_AT, BRACKETS, &error)
+                           : http_values_parse_query(text, &error);
+  if (values != NULL) {
+    error = http_request_translate(message, values, !is_body, &payload, PAYLOAD, &deadline_ms,
+                                   &g_is_default);
+    json_decref(values);
   }
   if (error.status == WIRE_STATUS_OK) {
     CHECK(payload.count % WIRE_ALIGNMENT == 0 && payload.count <= PAYLOAD);
