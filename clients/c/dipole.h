@@ -842,8 +842,9 @@ bool dipole_varying(dipole_client *client, const dipole_varying_query *query,
  * shares between them. A surface never changes: any number of threads may use it at once. */
 typedef struct dipole_surface dipole_surface;
 
-/* Fetches a surface. sigma_a_per_mm and sigma_s_per_mm of query->medium are 0. The caller frees
- * *surface with dipole_surface_free(). */
+/* Fetches a surface: a table for one g and eta, whose albedo and radius vary from value to value. So
+ * sigma_a_per_mm and sigma_s_per_mm of query->medium are 0. The caller frees *surface with
+ * dipole_surface_free(). */
 bool dipole_surface_fetch(dipole_client *client, const dipole_table_query *query,
                           dipole_surface **surface, dipole_error *error);
 
@@ -999,7 +1000,7 @@ typedef struct dipole_mc_energy {
   double unscattered[DIPOLE_MC_SIDES];    /* leaves at r = 0 and counts in no ring; exact */
   dipole_mc_value under[DIPOLE_MC_SIDES]; /* leaves within the inner edge of the first ring */
   dipole_mc_value over[DIPOLE_MC_SIDES];  /* leaves beyond the outer edge of the last ring */
-  dipole_mc_value in_layer[8]; /* absorbed in each layer, from the top down; else 0 */
+  dipole_mc_value in_layer[8];            /* absorbed in each layer, from the top down; else 0 */
   double imbalance; /* R + T + absorbed + unfinished - roulette - 1, which is 0 up to rounding */
 } dipole_mc_energy;
 

@@ -32,7 +32,7 @@ static const struct choosing careful = {0.1, true, FIT_STARTS_MAX, 1e300};
  * chi-squared from falling, one that is shorter than STEP_ROUNDED. */
 #define STEP_END 1e-9
 #define STEP_ROUNDED 1e-5
-#define STEP_MOST 2.0 /* longer steps are shortened to this */
+#define STEP_MOST 2.0 /* the longest step, in both logarithms; a longer one is cut to it */
 
 /* A descent that starts from the inverse makes Newton steps; its step before the last is shorter
  * than this. */

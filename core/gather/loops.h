@@ -60,8 +60,8 @@ typedef struct gather_views {
   /* largest relative difference between a point's distance and D; INFINITY: no bounds, use the
    * largest R */
   double ratio[GATHER_LANES];
-  double least[GATHER_LANES]; /* bounds of D in the cell, mm */
-  double most[GATHER_LANES];
+  double least[GATHER_LANES];  /* lower bound of D for the queries of the cell, mm */
+  double most[GATHER_LANES];   /* upper bound of it, mm */
   double fourth[GATHER_LANES]; /* upper bound of E y^4 / D^4 */
   double second[GATHER_LANES]; /* lower bound of (E y^2)^2 / D^4 */
   double rest[GATHER_LANES];   /* upper bound of |e| / D */

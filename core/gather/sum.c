@@ -186,8 +186,9 @@ enum { LIST_MAX = 1 << 16 };
 /* The first estimate of M uses nodes whose ratio of radius to distance is at most this. */
 #define ESTIMATE_ANGLE 0.5
 
-/* The share of the tolerance that the bounds of a list may use. The rest allows for M below its
- * estimate. */
+/* The share of the tolerance that the bounds of a list may use. The tolerance is relative to M, the
+ * sum itself, which is estimated before it is known: the rest allows for a sum below its estimate.
+ */
 #define LIST_SHARE 0.9
 
 /* The largest value of `fineness`, the number of finer lists that a cell has made. At this value

@@ -62,10 +62,12 @@ enum coefficient {
   SLOPE_FLUX_2,
   SLOPE_EXPONENT,
   ALBEDO,
-  CDF_FLUX_1,  /* the flux of the real source as a share of the albedo */
-  CDF_FLUX_2,  /* the flux of the mirror source as a share of the albedo */
-  CDF_PHI_FAR, /* the fluence's share of the albedo; multiplies 1 - e^(-mu a2) */
-  /* factor of the fluence's second term in the cdf, which depends on a1 - a2; per unit of length */
+  CDF_FLUX_1, /* the flux of the real source as a share of the albedo */
+  CDF_FLUX_2, /* the flux of the mirror source as a share of the albedo */
+  /* The part of the cdf that the fluence adds has two terms. This is the factor of the first,
+   * 1 - e^(-mu a2): the fluence's share of the albedo. */
+  CDF_PHI_FAR,
+  /* This is the factor of the second, which depends on a1 - a2, per unit of length. */
   CDF_PHI_NEAR,
   CDF_LIMIT, /* limit of the cdf at infinity: 1, or 0 if nothing scatters */
   CDF_WHOLE, /* from this radius on, in kernel units, the cdf has rounded to CDF_LIMIT */

@@ -28,10 +28,11 @@ typedef struct exitance_grid {
   double complex point[EXITANCE_PANELS_MAX + 1]; /* start of the path, and end of each panel */
 } exitance_grid;
 
-/* Sets *to, with panels that double in width. kappa: the decay rate of R far away, 0 or at least
- * 1e-9. share: Im k / kappa where the path begins, 0 to less than 1. scale: the least scaled
- * extinction that light meets, which limits Im k. nodes: 8 to EXITANCE_NODES_MAX. tier_end:
- * ascending. */
+/* Lays the path of wavenumbers k over which the inverse Hankel transform of X integrates: panels
+ * that double in width, with the same number of nodes on each (8 to EXITANCE_NODES_MAX). The path
+ * begins at Im k = share kappa, where kappa (0, or at least 1e-9) is the decay rate of R far away
+ * and share is from 0 to less than 1. `scale`, the least scaled extinction that light meets, limits
+ * Im k. tier_end is ascending. */
 void solver_exitance_place(exitance_grid *to, const core_isa *isa, double kappa, double share,
                            double scale, size_t nodes, const double tier_end[EXITANCE_TIERS]);
 
@@ -41,7 +42,8 @@ double complex solver_exitance_wavenumber(const exitance_grid *of, size_t node);
 /* Returns the number of nodes in tiers 0 to `tier`. */
 size_t solver_exitance_end(const exitance_grid *of, size_t tier);
 
-/* X as far as it is known: a Chebyshev series on each panel, and the tail beyond K. */
+/* X, the Hankel transform of R, as a function of k: a Chebyshev series on each panel, and beyond K,
+ * the end of the path, a sum of powers of 1 / k (the tail). */
 typedef struct exitance_series {
   double complex term[EXITANCE_PANELS_MAX][EXITANCE_NODES_MAX];
   double far, tail[EXITANCE_TAIL_TERMS];

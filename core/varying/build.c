@@ -404,7 +404,8 @@ static bool make_grid(const float *words, size_t lines, size_t count, const doub
   return true;
 }
 
-/* Sets the values of a row, number `index` of all. */
+/* Copies the values of one row of the table, the solutions of one albedo, into the grid, where it is
+ * the row `index`. */
 static void set_values(const float *words, const struct grid *grid, const rows_row *row,
                        size_t index) {
   const double *x = grid->nodes[CORE_SURFACE_RADIUS];

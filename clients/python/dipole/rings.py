@@ -23,8 +23,8 @@ class RingMeans(NamedTuple):
 
     R: Array  # [C, N] 1/mm^2 per unit of power that entered: a ring's power over its area
     edges: Array  # [N + 1] mm
-    numerical_error: Array  # [C, N] of the mean against the model's exact formula, relative; inf where
-    # the mean is 0 because R underflows
+    numerical_error: Array  # [C, N] relative error of the mean against the mean of the
+    # model's exact formula; inf where R underflows to 0
     model_error: Array  # [C] of the model against transport, relative; NaN: not solved
     model: str
 
