@@ -1,10 +1,7 @@
-/* dipole bench: how fast a daemon replies. */
+/* dipole bench: how fast a daemon replies on one connection. */
 #include <math.h>
-#include <pthread.h>
-#include <stdatomic.h>
 #include <stdlib.h>
 #include <string.h>
-#include <time.h>
 
 #include "clients/cli/daemon.h"
 #include "clients/cli/profile.h"
@@ -12,7 +9,6 @@
 #include "clients/cli/rows.h"
 
 enum {
-  CONNECTIONS_MAX = 256,
   RADII_MAX = 1 << 22,
   MEASUREMENTS = 3,
   /* buckets of durations for each factor of two: quantiles are exact within 1 % */
@@ -23,8 +19,7 @@ enum {
 /* What was measured under a load. */
 typedef struct measured {
   const char *name;
-  unsigned connections;
-  unsigned in_flight; /* requests under way on each connection */
+  unsigned in_flight; /* requests under way */
   uint64_t radii;     /* how many radii each request has */
   /* How long each request took, from submitting it to having its reply. */
   uint64_t requests, most_ns;
@@ -39,6 +34,7 @@ typedef struct report {
   void *radii;
   dipole_query query;
   cli_progress progress;
+  uint64_t requests; /* those of all measurements so far */
   measured results[MEASUREMENTS];
 } report;
 
@@ -56,7 +52,12 @@ static double quantile_us(const measured *result, double share) {
   return 0;
 }
 
-/* ---- a connection: a thread, which keeps this many requests under way ------------------------ */
+/* Returns the size in bytes of a radius, which is that of a value. */
+static size_t value_bytes(const report *of) {
+  return of->query.evaluator == DIPOLE_F64 ? sizeof(double) : sizeof(float);
+}
+
+/* ---- requests -------------------------------------------------------------------------------- */
 
 /* A request that is under way, or room for one. */
 typedef struct slot {
@@ -65,181 +66,72 @@ typedef struct slot {
   uint8_t *values; /* the buffer for its reply */
 } slot;
 
-typedef struct worker {
-  pthread_t thread;
-  dipole_client *client;
-  const dipole_query *query;
-  unsigned in_flight;
-  uint64_t until_ns, ended_ns;
-  slot *slots; /* [in_flight]; the first `used` are under way, oldest first */
-  unsigned used;
-  atomic_ullong done;
-  bool failed;
-  dipole_error error;
-  uint64_t most_ns;
-  uint32_t buckets[BUCKETS];
-} worker;
-
-static bool submit(worker *of) {
-  slot *to = &of->slots[of->used];
-  dipole_query query = *of->query;
-  query.into_values = to->values;
-  to->sent_ns = cli_now_ns();
-  const bool good = dipole_submit(of->client, &query, &to->id, &of->error);
-  of->used += good;
-  return good;
-}
-
-/* Takes a reply: its slot moves behind those that are under way. The search starts with the
- * oldest request, whose reply is the likeliest to come. */
-static void take_reply(worker *of, uint64_t id, uint64_t at_ns) {
-  for (unsigned i = 0; i < of->used; i++) {
-    if (of->slots[i].id == id) {
-      const slot found = of->slots[i];
-      const uint64_t ns = at_ns > found.sent_ns ? at_ns - found.sent_ns : 1;
-      const double bucket = BUCKETS_OF_OCTAVE * log2((double)ns);
-      of->buckets[(size_t)fmin(bucket, BUCKETS - 1)]++;
-      of->most_ns = ns > of->most_ns ? ns : of->most_ns;
-      memmove(&of->slots[i], &of->slots[i + 1], (of->used - i - 1) * sizeof found);
-      of->slots[--of->used] = found;
-      return;
-    }
-  }
-}
-
-static bool collect(worker *of) {
-  dipole_result *result;
+/* Waits for a reply and counts its duration. Its slot moves behind the `used` ones that are under
+ * way. The search starts with the oldest request, whose reply is the likeliest to come. */
+static bool collect(report *of, measured *result, slot *slots, unsigned used, dipole_error *error) {
+  dipole_result *reply;
   uint64_t id;
-  if (!dipole_collect(of->client, &id, &result, &of->error)) {
+  unsigned i = 0;
+  if (!dipole_collect(of->client, &id, &reply, error)) {
     return false;
   }
-  dipole_result_free(result);
-  take_reply(of, id, cli_now_ns());
-  atomic_fetch_add_explicit(&of->done, 1, memory_order_relaxed);
+  dipole_result_free(reply);
+  while (i + 1 < used && slots[i].id != id) {
+    i++;
+  }
+  const slot found = slots[i];
+  const uint64_t now_ns = cli_now_ns(), ns = now_ns > found.sent_ns ? now_ns - found.sent_ns : 1;
+  result->buckets[(size_t)fmin(BUCKETS_OF_OCTAVE * log2((double)ns), BUCKETS - 1)]++;
+  result->most_ns = ns > result->most_ns ? ns : result->most_ns;
+  result->requests++;
+  memmove(&slots[i], &slots[i + 1], (used - i - 1) * sizeof found);
+  slots[used - 1] = found;
   return true;
 }
 
-static void *run_worker(void *argument) {
-  worker *of = argument;
-  bool good = true;
-  do {
-    while (good && of->used < of->in_flight) {
-      good = submit(of);
-    }
-    good = good && collect(of);
-  } while (good && cli_now_ns() < of->until_ns);
-  while (good && of->used > 0) {
-    good = collect(of);
-  }
-  of->failed = !good;
-  of->ended_ns = cli_now_ns();
-  return NULL;
-}
-
-/* ---- all of them ----------------------------------------------------------------------------- */
-
-/* Returns the size in bytes of a radius, which is that of a value. */
-static size_t value_bytes(const report *of) {
-  return of->query.evaluator == DIPOLE_F64 ? sizeof(double) : sizeof(float);
-}
-
-static void make_slots(const report *of, worker *one) {
-  const size_t bytes =
-      (size_t)(of->query.medium_count * one->query->radius_count * value_bytes(of) + 7) / 8 * 8;
-  uint8_t *values = cli_allocate(one->in_flight, bytes);
-  one->slots = cli_allocate(one->in_flight, sizeof *one->slots);
-  for (unsigned i = 0; i < one->in_flight; i++) {
-    one->slots[i].values = values + i * bytes;
-  }
-}
-
-/* Opens another connection unless this is the first one, which is the client's own, and sends one
- * request that is not counted, so that the daemon has prepared all it needs. */
-static bool open_and_warm_up(const report *of, worker *one, bool first, dipole_error *error) {
-  dipole_options options;
-  dipole_result *result;
-  cli_connection_options(of->settings, &options);
-  options.in_flight_max = 0;
-  if ((!first && !dipole_open_with(of->settings->connect, &options, &one->client, error)) ||
-      !dipole_eval(one->client, one->query, &result, error)) {
-    return false;
-  }
-  dipole_result_free(result);
-  return true;
-}
-
-/* Shows the progress while the workers of a measurement work. */
-static void watch_workers(report *of, worker *workers, const measured *result, uint64_t start_ns) {
-  const struct timespec nap = {.tv_nsec = 50 * 1000000L};
+/* Shows the progress. Returns whether the time is over. */
+static bool is_over(report *of, const measured *result, uint64_t start_ns) {
   const double at = (double)(result - of->results), seconds = of->settings->seconds.value;
-  uint64_t before = 0;
-  for (const measured *one = of->results; one < result; one++) {
-    before += one->requests;
-  }
-  while (cli_now_ns() < start_ns + (uint64_t)(seconds * 1e9)) {
-    uint64_t done = before;
-    for (unsigned i = 0; i < result->connections; i++) {
-      done += atomic_load_explicit(&workers[i].done, memory_order_relaxed);
-    }
-    const double share = fmin((double)(cli_now_ns() - start_ns) / 1e9 / seconds, 1);
-    cli_progress_show(&of->progress, (at + share) / MEASUREMENTS, (double)done);
-    nanosleep(&nap, NULL);
-  }
+  const double share = (double)(cli_now_ns() - start_ns) / 1e9 / seconds;
+  cli_progress_show(&of->progress, (at + fmin(share, 1)) / MEASUREMENTS,
+                    (double)(of->requests + result->requests));
+  return share >= 1;
 }
 
-/* Starts a thread for each worker and waits until they are done. */
-static bool run_all(report *of, worker *workers, measured *result, dipole_error *error) {
-  const uint64_t start_ns = cli_now_ns();
-  uint64_t ended_ns = start_ns;
-  unsigned running = 0;
-  bool good = true;
-  for (; good && running < result->connections; running += good) {
-    workers[running].until_ns = start_ns + (uint64_t)(of->settings->seconds.value * 1e9);
-    good = pthread_create(&workers[running].thread, NULL, run_worker, &workers[running]) == 0;
-  }
-  if (good) {
-    watch_workers(of, workers, result, start_ns);
-  } else {
-    *error = (dipole_error){.kind = DIPOLE_ERROR_MEMORY, .text = "cannot start a thread"};
-  }
-  for (unsigned i = 0; i < running; i++) {
-    worker *one = &workers[i];
-    pthread_join(one->thread, NULL);
-    ended_ns = one->ended_ns > ended_ns ? one->ended_ns : ended_ns;
-    result->requests += one->done;
-    result->most_ns = one->most_ns > result->most_ns ? one->most_ns : result->most_ns;
-    for (size_t k = 0; k < BUCKETS; k++) {
-      result->buckets[k] += one->buckets[k];
-    }
-    if (good && one->failed) {
-      *error = one->error;
-      good = false;
-    }
-  }
-  result->took_s = (double)(ended_ns - start_ns) / 1e9;
-  return good;
-}
-
-/* Sends requests under a load. Returns false, with *error, if a request failed. */
+/* Sends requests and keeps `in_flight` of them under way. Before that it sends one that is not
+ * counted, so that the daemon has prepared all it needs. */
 static bool run_load(report *of, measured *result, dipole_error *error) {
-  worker *workers = cli_allocate(result->connections, sizeof *workers);
   dipole_query query = of->query;
-  bool good = true;
+  dipole_result *reply;
   query.radius_count = result->radii;
-  for (unsigned i = 0; i < result->connections; i++) {
-    worker *one = &workers[i];
-    one->client = of->client;
-    one->query = &query;
-    one->in_flight = result->in_flight;
-    make_slots(of, one);
-    good = good && open_and_warm_up(of, one, i == 0, error);
+  if (!dipole_eval(of->client, &query, &reply, error)) {
+    return false;
   }
-  good = good && run_all(of, workers, result, error);
-  for (unsigned i = 0; i < result->connections; i++) {
-    if (workers[i].client != of->client) {
-      dipole_close(workers[i].client);
+  dipole_result_free(reply);
+  const size_t bytes = (size_t)(query.medium_count * result->radii * value_bytes(of) + 7) / 8 * 8;
+  uint8_t *values = cli_allocate(result->in_flight, bytes);
+  slot *slots = cli_allocate(result->in_flight, sizeof *slots);
+  for (unsigned i = 0; i < result->in_flight; i++) {
+    slots[i].values = values + i * bytes;
+  }
+  const uint64_t start_ns = cli_now_ns();
+  unsigned used = 0;
+  bool good = true;
+  for (bool over = false; good && !(over && used == 0);) {
+    while (good && !over && used < result->in_flight) {
+      query.into_values = slots[used].values;
+      slots[used].sent_ns = cli_now_ns();
+      good = dipole_submit(of->client, &query, &slots[used].id, error);
+      used += good;
     }
+    good = good && collect(of, result, slots, used, error);
+    used -= good;
+    over = over || is_over(of, result, start_ns);
   }
+  result->took_s = (double)(cli_now_ns() - start_ns) / 1e9;
+  of->requests += result->requests;
+  cli_free(slots);
+  cli_free(values);
   return good;
 }
 
@@ -251,7 +143,7 @@ static bool run_load(report *of, measured *result, dipole_error *error) {
 #define RADIUS_LEAST_MM 0.01
 #define RADIUS_MOST_MM 10.0
 
-/* How much memory the values under way may take on all connections. */
+/* How much memory the values under way may take. */
 #define VALUES_MAX_BYTES ((size_t)1 << 30)
 
 static int check(cli_settings *settings) {
@@ -259,8 +151,7 @@ static int check(cli_settings *settings) {
   const struct {
     const char *option;
     uint64_t value, most;
-  } counts[] = {{"connections", settings->connections.value, CONNECTIONS_MAX},
-                {"in-flight", settings->in_flight.value, DIPOLE_IN_FLIGHT_MAX},
+  } counts[] = {{"in-flight", settings->in_flight.value, DIPOLE_IN_FLIGHT_MAX},
                 {"radii", settings->radii.value, RADII_MAX},
                 {"large-radii", settings->large_radii.value, RADII_MAX}};
   if (!(seconds >= SECONDS_LEAST && seconds <= SECONDS_MOST)) {
@@ -279,23 +170,15 @@ static int check(cli_settings *settings) {
   return cli_medium_check(settings);
 }
 
-/* Checks those settings whose limits depend on the daemon. */
-static int check_with_daemon(const report *of) {
-  const cli_settings *settings = of->settings;
-  const size_t bytes = (size_t)(settings->connections.value * settings->in_flight.value) *
-                       (size_t)settings->radii.value * of->profile.channel_count * sizeof(double);
-  const char *address = dipole_address(of->client);
-  if (settings->connections.value > 1 && strncmp(address, "private:", strlen("private:")) == 0) {
-    return cli_fail_usage("--connections: a private daemon has one connection; "
-                          "--connect names another");
-  }
-  if (bytes > VALUES_MAX_BYTES) {
-    return cli_fail_usage(
-        "--connections, --in-flight, --radii: give less: together they take more than %zu "
-        "MiB for values",
-        VALUES_MAX_BYTES >> 20);
-  }
-  return CLI_OK;
+/* Checks how much memory the values take. */
+static int check_memory(const report *of) {
+  const size_t bytes = (size_t)(of->settings->in_flight.value * of->settings->radii.value) *
+                       of->profile.channel_count * sizeof(double);
+  return bytes <= VALUES_MAX_BYTES
+             ? CLI_OK
+             : cli_fail_usage("--in-flight, --radii: give less: together they take more than %zu "
+                              "MiB for values",
+                              VALUES_MAX_BYTES >> 20);
 }
 
 /* ---- what is requested --------------------------------------------------------------------------- */
@@ -318,9 +201,7 @@ static void make_query(report *of) {
                              .evaluator = of->profile.evaluator->id,
                              .moments = DIPOLE_EXACT,
                              .wanted = DIPOLE_R,
-                             .media = of->profile.media,
-                             .layer_count = of->profile.layer_count,
-                             .medium_count = (uint32_t)of->profile.channel_count,
+                             CLI_MEDIA_OF(&of->profile),
                              .spacing = DIPOLE_LIST,
                              .radii = of->radii,
                              .parameters = of->profile.parameters.items,
@@ -332,10 +213,9 @@ static void make_query(report *of) {
 static int measure(report *of) {
   const cli_settings *settings = of->settings;
   const uint64_t radii = settings->radii.value;
-  of->results[0] = (measured){"small", 1, 1, radii, .took_s = 0};
-  of->results[1] = (measured){"pipelined", (unsigned)settings->connections.value,
-                              (unsigned)settings->in_flight.value, radii, .took_s = 0};
-  of->results[2] = (measured){"large", 1, 1, settings->large_radii.value, .took_s = 0};
+  of->results[0] = (measured){"small", 1, radii, .took_s = 0};
+  of->results[1] = (measured){"pipelined", (unsigned)settings->in_flight.value, radii, .took_s = 0};
+  of->results[2] = (measured){"large", 1, settings->large_radii.value, .took_s = 0};
   bool good = true;
   dipole_error error;
   cli_progress_start(&of->progress, "requests");
@@ -366,7 +246,6 @@ static void put_result(cli_rows *rows, const void *context, size_t index) {
   const double radii_per_s = per_s * (double)result->radii;
   cli_put_text(rows, result->name, "measurement", "requests");
   cli_put_number(rows, (double)result->radii, "radii", .format = "%.0f");
-  cli_put_number(rows, result->connections, "connections", .format = "%.0f");
   cli_put_number(rows, result->in_flight, "in_flight", "in flight", .format = "%.0f");
   cli_put_number(rows, (double)result->requests, "requests", .forms = CLI_IN_CSV | CLI_IN_JSON);
   cli_put_number(rows, result->took_s, "seconds", .forms = CLI_IN_CSV | CLI_IN_JSON);
@@ -397,7 +276,7 @@ static int run_bench(const cli_settings *settings, dipole_client *client) {
   report *of = cli_allocate(1, sizeof *of);
   *of = (report){.settings = settings, .client = client};
   int status = cli_profile_take(settings, client, &of->profile);
-  status = status == CLI_OK ? check_with_daemon(of) : status;
+  status = status == CLI_OK ? check_memory(of) : status;
   if (status == CLI_OK) {
     make_query(of);
     status = measure(of);
@@ -415,8 +294,7 @@ static const cli_option options[] = {
     CLI_OPTION(NAME, model, "better", "which model is evaluated"),
     CLI_OPTION(TEXT, evaluator, "f32", "f64, f32 or lut"),
     CLI_OPTION(NUMBER, seconds, "1", "how long each of the three is measured"),
-    CLI_OPTION(COUNT, connections, "1", "how many connections the pipelined requests have"),
-    CLI_OPTION(COUNT, in_flight, "64", "how many requests are under way on each connection"),
+    CLI_OPTION(COUNT, in_flight, "64", "how many pipelined requests are under way"),
     CLI_OPTION(COUNT, radii, "16", "how many radii a small request has"),
     CLI_OPTION(COUNT, large_radii, "65536", "how many radii a large request has"),
     {0},
@@ -437,7 +315,7 @@ const cli_command cli_command_bench = {
     .options = {cli_medium_options, cli_layer_options, options},
     .parameters = CLI_OF_MODELS,
     .examples = "  dipole bench\n"
-                "  dipole bench --connect tcp:farm7:4817 --connections 8 --in-flight 128\n"
+                "  dipole bench --connect tcp:farm7:4817 --in-flight 128\n"
                 "  dipole bench --model transport --evaluator lut --seconds 5 --format json\n",
     .shows_service = true,
     .check = check,

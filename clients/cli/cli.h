@@ -113,7 +113,7 @@ typedef struct cli_settings {
   cli_number tolerance, least_distance;
   cli_number photons, error, total_error;
   cli_number interval, seconds;
-  cli_count connections, in_flight, radii, large_radii;
+  cli_count in_flight, radii, large_radii;
 } cli_settings;
 
 /* ---- commands -------------------------------------------------------------------------------- */
@@ -161,6 +161,10 @@ int cli_say(enum cli_status status, const char *format, ...) __attribute__((form
 
 #define cli_fail(...) cli_say(CLI_FAILED, __VA_ARGS__)
 #define cli_fail_usage(...) cli_say(CLI_USAGE, __VA_ARGS__) /* the command line is wrong */
+
+/* The same, for functions that return whether they have succeeded: these return false. */
+#define cli_fails(...) (cli_fail(__VA_ARGS__) == CLI_OK)
+#define cli_fails_usage(...) (cli_fail_usage(__VA_ARGS__) == CLI_OK)
 
 /* ---- the terminal that standard output is ---------------------------------------------------- */
 

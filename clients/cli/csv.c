@@ -469,8 +469,7 @@ void cli_csv_write_cell(const char *text, FILE *file) {
 /* ---- sheets ---------------------------------------------------------------------------------- */
 
 static bool fail_line(const cli_sheet *sheet, uint64_t line, const char *what) {
-  cli_fail("%s: line %llu: %s", sheet->source, (unsigned long long)line, what);
-  return false;
+  return cli_fails("%s: line %llu: %s", sheet->source, (unsigned long long)line, what);
 }
 
 /* Reads a cell as a number: NAN if it is empty or absent. Reports an error and returns false if it

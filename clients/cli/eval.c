@@ -157,8 +157,8 @@ static bool choose_models(const cli_settings *settings, cli_eval_report *report)
 static bool choose_reference(cli_eval_report *report) {
   const dipole_choice *model = cli_choice(report->profile.info, DIPOLE_MODEL, CLI_MODEL_DEFAULT);
   if (model == NULL) {
-    cli_fail("this daemon has no model " CLI_MODEL_DEFAULT " to compare with: leave --error out");
-    return false;
+    return cli_fails("this daemon has no model " CLI_MODEL_DEFAULT
+                     " to compare with: leave --error out");
   }
   cli_eval_add_model(report, model, false)->is_reference = true;
   return true;
@@ -182,8 +182,7 @@ bool cli_eval_take_quantities(const cli_settings *settings, cli_eval_report *rep
       report->quantities.wanted & ~(unsigned)(DIPOLE_ALBEDO | DIPOLE_RADIUS | DIPOLE_MODEL_ERRORS);
   report->place = others == DIPOLE_TRANSFER ? "f" : "r";
   if (at_f && others != DIPOLE_TRANSFER) {
-    cli_fail_usage("--f gives spatial frequencies, which only R_f has: request R_f alone");
-    return false;
+    return cli_fails_usage("--f gives spatial frequencies, which only R_f has: request R_f alone");
   }
   return true;
 }
@@ -268,12 +267,10 @@ static bool request_model(requests *run, dipole_error *error) {
                        .evaluator = model->evaluator->id,
                        .moments = report->profile.moments->id,
                        .wanted = report->quantities.wanted | DIPOLE_RADIUS | DIPOLE_MODEL_ERROR,
-                       .media = report->profile.media,
-                       .layer_count = report->profile.layer_count,
-                       .medium_count = (uint32_t)report->profile.channel_count,
+                       CLI_MEDIA_OF(&report->profile),
                        .parameters = parameters.items,
                        .parameter_count = parameters.count,
-                       .deadline_ms = (uint32_t)run->settings->deadline_ms.value};
+                       CLI_DEADLINE_OF(run->settings)};
     cli_eval_set_radii(run->settings, report, model->evaluator->id != DIPOLE_F64, &run->query);
     if (CLI_RETRY(run->settings, error,
                   dipole_eval_parts(run->client, &run->query, receive, run, error))) {
@@ -755,19 +752,15 @@ static dipole_sample_query make_sample_query(const cli_settings *settings,
   return (dipole_sample_query){
       .model = profile->model->id,
       .evaluator = profile->evaluator->id,
-      .moments = profile->moments->id,
       .wanted = report->quantities.wanted | DIPOLE_MODEL_ERROR,
-      .media = profile->media,
-      .layer_count = profile->layer_count,
-      .medium_count = (uint32_t)profile->channel_count,
+      CLI_MEDIA_OF(profile),
       .draw = draw,
       .sample_count = settings->u.count > 0 ? settings->u.count : settings->count.value,
       .sample_first = settings->first.value,
       /* A seed that has no use is sent if it was given, so that the daemon refuses it. */
       .seed = seeded || settings->seed.given ? settings->seed.value : 0,
-      .parameters = profile->parameters.items,
-      .parameter_count = profile->parameters.count,
-      .deadline_ms = (unsigned)settings->deadline_ms.value,
+      CLI_QUERY_OF(profile),
+      CLI_DEADLINE_OF(settings),
   };
 }
 

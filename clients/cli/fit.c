@@ -117,10 +117,10 @@ static bool check_header(const cli_sheet *sheet, const cli_csv_record *header) {
   for (size_t i = 0; i < header->cell_count; i++) {
     const char *name = cli_csv_cell_text(header, i, &length);
     if (strcmp(name, "thickness") == 0 || strncmp(name, "phase", strlen("phase")) == 0) {
-      cli_fail("%s: the column %s is of no medium that can be fitted: those are half spaces that "
-               "scatter by Henyey-Greenstein's function",
-               sheet->source, name);
-      return false;
+      return cli_fails(
+          "%s: the column %s is of no medium that can be fitted: those are half spaces that "
+          "scatter by Henyey-Greenstein's function",
+          sheet->source, name);
     }
   }
   const char *missing =
@@ -152,9 +152,8 @@ static bool take_of_sample(const cli_sheet *sheet, size_t row, fit_sample *of) {
   for (size_t i = 0; i < OF_SAMPLE; i++) {
     const double given = cli_sheet_number(sheet, row, i), kept = of->of_sample[i];
     if (!isnan(given) && (kept < given || kept > given)) {
-      cli_fail("%s: line %llu: %s differs from that of the sample's other lines", sheet->source,
-               (unsigned long long)sheet->lines[row], names[i]);
-      return false;
+      return cli_fails("%s: line %llu: %s differs from that of the sample's other lines",
+                       sheet->source, (unsigned long long)sheet->lines[row], names[i]);
     }
     of->of_sample[i] = isnan(given) ? kept : given;
   }

@@ -214,7 +214,7 @@ static int request_sums(work *of) {
       .queries_mm = of->queries.xyz_mm,
       .query_count = of->queries.count,
       .tolerance = of->settings->tolerance.value,
-      .deadline_ms = (unsigned)of->settings->deadline_ms.value,
+      CLI_DEADLINE_OF(of->settings),
   };
   cli_catch_interrupt();
   cli_progress_start(&of->progress, "queries");

@@ -235,9 +235,8 @@ static bool find_columns(points_run *points, const cli_csv_record *header) {
     return false;
   }
   if (has_radii(points) && of->at[RADIUS] != CLI_CSV_ABSENT) {
-    cli_fail("%s: the header has the column %s: leave --%s out, or rename the column",
-             points->source, of->names[RADIUS], of->names[RADIUS]);
-    return false;
+    return cli_fails("%s: the header has the column %s: leave --%s out, or rename the column",
+                     points->source, of->names[RADIUS], of->names[RADIUS]);
   }
   for (size_t i = 0; i < of->output_count; i++) {
     const size_t at = of->at[of->outputs[i]];
@@ -563,19 +562,33 @@ static void take_reply(const points_run *points, points_row *row, const dipole_r
   }
 }
 
-/* Returns the row that waits for a reply. Most replies come in the order of the rows. */
-static points_row *find_row(points_run *points, uint64_t id) {
-  while (points->oldest < points->count && points->rows[points->oldest].state != ROW_WAITING) {
+/* Waits for the reply to the first row that has none. Repeats the request to a busy daemon, and marks
+ * the row as bad if a refusal names a field. Any other error ends the work. */
+static bool collect(points_run *points) {
+  dipole_error error;
+  dipole_result *result;
+  while (points->rows[points->oldest].state != ROW_WAITING) {
     points->oldest++;
   }
-  size_t i = points->oldest;
-  while (i < points->count && (points->rows[i].state != ROW_WAITING || points->rows[i].id != id)) {
-    i++;
+  points_row *row = &points->rows[points->oldest];
+  while (!dipole_collect_id(points->client, row->id, &result, &error)) {
+    const bool refused = error.kind == DIPOLE_ERROR_REFUSED;
+    if (refused && error.retry_after_ms == 0 && error.field[0] != '\0') {
+      make_bad(row, "%s", error.text);
+      count_done(points, row);
+      return true;
+    }
+    if (!refused || !cli_try_again(points->settings, points->reply_ms, &error) ||
+        !submit_row(points, row, &error)) {
+      return fail(points, error.text);
+    }
   }
-  return i < points->count ? &points->rows[i] : NULL;
+  points->reply_ms = cli_now_ms();
+  take_reply(points, row, result);
+  count_done(points, row);
+  dipole_result_free(result);
+  return true;
 }
-
-static bool collect(points_run *points);
 
 /* Requests the row by itself. Takes replies first if as many queries are outstanding as may be. */
 static bool submit(points_run *points, points_row *row) {
@@ -586,39 +599,6 @@ static bool submit(points_run *points, points_row *row) {
     }
   }
   return submit_row(points, row, &error) || fail(points, error.text);
-}
-
-/* Handles an error: repeats the request to a busy daemon, and marks the row as bad if the refusal names a
- * field. Any other error ends the work. */
-static bool take_refusal(points_run *points, uint64_t id, const dipole_error *error) {
-  points_row *row = error->kind == DIPOLE_ERROR_REFUSED ? find_row(points, id) : NULL;
-  if (row != NULL && error->retry_after_ms == 0 && error->field[0] != '\0') {
-    row->state = ROW_BAD;
-    memcpy(row->status, error->text, sizeof row->status);
-    count_done(points, row);
-    return true;
-  }
-  return row != NULL && cli_try_again(points->settings, points->reply_ms, error)
-             ? submit(points, row)
-             : fail(points, error->text);
-}
-
-/* Waits for one reply. */
-static bool collect(points_run *points) {
-  dipole_error error;
-  dipole_result *result;
-  uint64_t id = 0;
-  if (!dipole_collect(points->client, &id, &result, &error)) {
-    return take_refusal(points, id, &error);
-  }
-  points->reply_ms = cli_now_ms();
-  points_row *row = find_row(points, id);
-  if (row != NULL) {
-    take_reply(points, row, result);
-    count_done(points, row);
-  }
-  dipole_result_free(result);
-  return row != NULL || fail(points, "a reply came to a query that was not sent");
 }
 
 /* ---- rows that share a model, g and eta ------------------------------------------------------ */

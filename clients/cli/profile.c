@@ -128,8 +128,7 @@ static bool take_parameter(const dipole_info *info, const cli_given *given, unsi
   double value;
   if (parameter == NULL) {
     cli_list_names(info, DIPOLE_PARAMETER, known, sizeof known);
-    cli_fail_usage("--%s: this daemon does not know it; it knows %s", option->name, known);
-    return false;
+    return cli_fails_usage("--%s: this daemon does not know it; it knows %s", option->name, known);
   }
   if (!cli_parameter_parse(info, parameter, given->text, &value)) {
     return cli_named(info, kind_of(parameter), option->name, given->text) != NULL;
@@ -331,9 +330,8 @@ static bool count_channels(const cli_settings *settings, size_t *count) {
   *count = settings->medium.count > 0 ? options[0].count : 1;
   for (size_t i = 1; i < sizeof options / sizeof options[0]; i++) {
     if (options[i].count > 1 && first != NULL && options[i].count != *count) {
-      cli_fail_usage("--%s has %zu values and --%s has %zu: give one value or as many",
-                     options[i].name, options[i].count, first, *count);
-      return false;
+      return cli_fails_usage("--%s has %zu values and --%s has %zu: give one value or as many",
+                             options[i].name, options[i].count, first, *count);
     }
     if (options[i].count > 1 && first == NULL) {
       first = options[i].name;
@@ -404,9 +402,9 @@ bool cli_quantities_take(const dipole_info *info, const cli_texts *names, unsign
       return false;
     }
     if (quantity->id == DIPOLE_MODEL_ERROR) {
-      cli_fail_usage("--wanted model_error: it is written beside the values; `dipole points` has "
-                     "--errors for it");
-      return false;
+      return cli_fails_usage(
+          "--wanted model_error: it is written beside the values; `dipole points` has "
+          "--errors for it");
     }
     quantities->wanted |= quantity->id;
   }

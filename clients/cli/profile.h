@@ -133,6 +133,15 @@ static inline const dipole_medium *cli_profile_layers(const cli_profile *profile
   return &profile->media[channel * profile->layer_count];
 }
 
+/* What all queries have of a profile; and its media, for those that have all of them. */
+#define CLI_QUERY_OF(profile)                                                                      \
+  .moments = (profile)->moments->id, .parameters = (profile)->parameters.items,                    \
+  .parameter_count = (profile)->parameters.count
+#define CLI_MEDIA_OF(profile)                                                                      \
+  .media = (profile)->media, .layer_count = (profile)->layer_count,                                \
+  .medium_count = (uint32_t)(profile)->channel_count
+#define CLI_DEADLINE_OF(settings) .deadline_ms = (uint32_t)(settings)->deadline_ms.value
+
 /* Looks up the names in the settings, except those of a list of models, and reads the parameters.
  * Says what is wrong and returns false if the daemon does not know one of them. */
 bool cli_profile_take_names(const cli_settings *settings, dipole_client *client,

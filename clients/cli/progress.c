@@ -9,20 +9,16 @@
 #include <time.h>
 #include <unistd.h>
 
+#include "clients/cli/daemon.h"
+
 #define SHOW_AFTER_MS 2000
 #define SHOW_EVERY_MS 100
 
 enum { BAR_WIDTH = 40 };
 
-static int64_t now_ms(void) {
-  struct timespec now;
-  clock_gettime(CLOCK_MONOTONIC, &now);
-  return (int64_t)now.tv_sec * 1000 + now.tv_nsec / 1000000;
-}
-
 void cli_progress_start(cli_progress *progress, const char *unit) {
   *progress =
-      (cli_progress){.watched = isatty(STDERR_FILENO) == 1, .unit = unit, .start_ms = now_ms()};
+      (cli_progress){.watched = isatty(STDERR_FILENO) == 1, .unit = unit, .start_ms = cli_now_ms()};
 }
 
 /* "0:07", "1:02:03", or "days" */
@@ -82,7 +78,7 @@ void cli_progress_wait(bool waits) {
 
 void cli_progress_show(cli_progress *progress, double share, double count) {
   static const char full[] = "########################################";
-  const int64_t now = now_ms();
+  const int64_t now = cli_now_ms();
   if (!progress->watched || now - progress->start_ms < SHOW_AFTER_MS ||
       now - progress->last_ms < SHOW_EVERY_MS) {
     return;

@@ -53,8 +53,7 @@ static bool take_tables(const char *path, const char *bytes, size_t count, table
     dipole_error error;
     size_t table_bytes;
     if (!dipole_table_load(bytes + done, count - done, &table, &error)) {
-      cli_fail("%s: table %zu: %s", path, of->count + 1, error.text);
-      return false;
+      return cli_fails("%s: table %zu: %s", path, of->count + 1, error.text);
     }
     add_table(of, table);
     dipole_table_bytes(table, &table_bytes);
@@ -82,8 +81,7 @@ static bool read_tables(const char *path, tables *of) {
 static bool save_tables(const char *path, const tables *of) {
   FILE *to = is_standard(path) ? stdout : fopen(path, "wbe");
   if (to == NULL) {
-    cli_fail("cannot write %s: %s", path, strerror(errno));
-    return false;
+    return cli_fails("cannot write %s: %s", path, strerror(errno));
   }
   const bool terminal = isatty(fileno(to)) == 1;
   bool written = !terminal;
@@ -282,11 +280,9 @@ static int fetch(const cli_settings *settings, dipole_client *client, report *of
   char place[48] = "";
   for (size_t i = 0; i < profile->channel_count; i++) {
     const dipole_table_query query = {.model = profile->model->id,
-                                      .moments = profile->moments->id,
+                                      CLI_QUERY_OF(profile),
                                       .layers = cli_profile_layers(profile, i),
-                                      .layer_count = profile->layer_count,
-                                      .parameters = profile->parameters.items,
-                                      .parameter_count = profile->parameters.count};
+                                      .layer_count = profile->layer_count};
     dipole_table *table;
     dipole_error error;
     if (!CLI_RETRY(settings, &error, dipole_table_fetch(client, &query, &table, &error))) {

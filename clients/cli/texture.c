@@ -44,8 +44,7 @@ typedef struct image {
 _Static_assert(__BYTE_ORDER__ == __ORDER_LITTLE_ENDIAN__, "PFM is written little-endian");
 
 static bool fail(const char *file, const char *what) {
-  cli_fail("%s: %s", file, what);
-  return false;
+  return cli_fails("%s: %s", file, what);
 }
 
 /* Allocates the values of an image of this size, if it is one that is supported. */
@@ -229,40 +228,22 @@ static bool read_png(const char *file, FILE *from, size_t file_bytes, bool linea
   return good;
 }
 
-static void put_png_rows(png_structp png, png_infop info, const image *of, uint8_t *row) {
-  const size_t count = of->width * of->channels;
-  png_set_IHDR(png, info, (png_uint_32)of->width, (png_uint_32)of->height, 16,
-               of->channels == 3 ? PNG_COLOR_TYPE_RGB : PNG_COLOR_TYPE_GRAY, PNG_INTERLACE_NONE,
-               PNG_COMPRESSION_TYPE_DEFAULT, PNG_FILTER_TYPE_DEFAULT);
-  png_set_gAMA(png, info, 1);
-  png_set_compression_level(png, 1);
-  png_write_info(png, info);
-  for (size_t y = 0; y < of->height; y++) {
-    for (size_t i = 0; i < count; i++) {
-      const float value = of->values[y * count + i];
-      const long share = value >= 0 && value <= 1 ? lrint((double)value * 65535) : 0;
-      row[2 * i] = (uint8_t)(share >> 8);
-      row[2 * i + 1] = (uint8_t)share;
-    }
-    png_write_row(png, row);
-  }
-  png_write_end(png, NULL);
-}
-
+/* Writes 16 bits of linear values. */
 static bool write_png(const char *file, FILE *to, const image *of) {
-  uint8_t *row = cli_allocate(of->width * of->channels, sizeof(uint16_t));
-  png_structp png = png_create_write_struct(PNG_LIBPNG_VER_STRING, (png_voidp)(uintptr_t)file,
-                                            on_png_error, on_png_warning);
-  png_infop info = png != NULL ? png_create_info_struct(png) : NULL;
-  volatile bool good = false;
-  if (info != NULL && setjmp(png_jmpbuf(png)) == 0) {
-    png_init_io(png, to);
-    put_png_rows(png, info, of, row);
-    good = true;
+  const size_t count = of->width * of->height * of->channels;
+  uint16_t *shares = cli_allocate(count, sizeof *shares);
+  png_image png = {.version = PNG_IMAGE_VERSION,
+                   .width = (png_uint_32)of->width,
+                   .height = (png_uint_32)of->height,
+                   .format = of->channels == 3 ? PNG_FORMAT_LINEAR_RGB : PNG_FORMAT_LINEAR_Y,
+                   .flags = PNG_IMAGE_FLAG_FAST};
+  for (size_t i = 0; i < count; i++) {
+    const float value = of->values[i];
+    shares[i] = (uint16_t)(value >= 0 && value <= 1 ? lrint((double)value * UINT16_MAX) : 0);
   }
-  png_destroy_write_struct(&png, &info);
-  cli_free(row);
-  return good;
+  const bool good = png_image_write_to_stdio(&png, to, 0, shares, 0, NULL) != 0;
+  cli_free(shares);
+  return good || fail(file, png.message);
 }
 
 /* ---- PFM ------------------------------------------------------------------------------------- */
@@ -368,7 +349,7 @@ enum { REQUEST_VALUES = 262144, WANTED_MAX = 8 };
 typedef struct texture_run {
   const cli_settings *settings;
   dipole_client *client;
-  cli_parameters parameters;
+  cli_profile names;
   dipole_varying_query query;
   size_t wanted_count;
   const dipole_choice *wanted[WANTED_MAX];
@@ -379,8 +360,6 @@ typedef struct texture_run {
   unsigned missing_status;
   double colour_least, colour_most;
 } texture_run;
-
-/* ---- the command line ------------------------------------------------------------------------ */
 
 static int check(cli_settings *settings) {
   const char *length;
@@ -420,17 +399,16 @@ static bool take_wanted(texture_run *run, const dipole_info *info) {
 static int take_settings(texture_run *run) {
   const cli_settings *settings = run->settings;
   const char *length;
-  cli_profile names = {0};
   cli_lengths_find(settings, &length);
-  if (!cli_profile_take_names(settings, run->client, &names)) {
+  if (!cli_profile_take_names(settings, run->client, &run->names)) {
     return CLI_USAGE;
   }
-  const dipole_choice *light = cli_named(names.info, DIPOLE_LIGHT, "light", settings->light);
-  const dipole_choice *given = cli_choice(names.info, DIPOLE_LENGTH, length);
-  if (light == NULL || given == NULL || !take_wanted(run, names.info)) {
+  const dipole_info *info = run->names.info;
+  const dipole_choice *light = cli_named(info, DIPOLE_LIGHT, "light", settings->light);
+  const dipole_choice *given = cli_choice(info, DIPOLE_LENGTH, length);
+  if (light == NULL || given == NULL || !take_wanted(run, info)) {
     return CLI_USAGE;
   }
-  run->parameters = names.parameters;
   const bool shares = run->query.coefficients == DIPOLE_SCATTERED;
   if (!ends_with(settings->second_operand, ".pfm") &&
       !(shares && ends_with(settings->second_operand, ".png"))) {
@@ -438,18 +416,16 @@ static int take_settings(texture_run *run) {
                           "if --coefficients is scattered",
                           settings->second_operand);
   }
-  run->query = (dipole_varying_query){.model = names.model->id,
+  run->query = (dipole_varying_query){.model = run->names.model->id,
                                       .evaluator = DIPOLE_F32,
-                                      .moments = names.moments->id,
+                                      CLI_QUERY_OF(&run->names),
                                       .coefficients = run->query.coefficients,
                                       .light = light->id,
                                       .given = given->id,
                                       .specular = settings->specular,
                                       .g = cli_numbers_pick(&settings->g, 0, 0),
                                       .eta = settings->eta.items[0],
-                                      .parameters = run->parameters.items,
-                                      .parameter_count = run->parameters.count,
-                                      .deadline_ms = (unsigned)settings->deadline_ms.value};
+                                      CLI_DEADLINE_OF(settings)};
   return CLI_OK;
 }
 

@@ -159,16 +159,6 @@ $ dipole bench --seconds 0
 ! `dipole bench --help` says more.
 ? 2
 
-$ dipole bench --connections 257
-! dipole bench: --connections: give a number from 1 to 256
-! `dipole bench --help` says more.
-? 2
-
-$ dipole bench --connections 2
-! dipole bench: --connections: a private daemon has one connection; --connect names another
-! `dipole bench --help` says more.
-? 2
-
 $ dipole bench --in-flight 4097
 ! dipole bench: --in-flight: give a number from 1 to 4096
 ! `dipole bench --help` says more.
@@ -180,7 +170,7 @@ $ dipole bench --radii 0
 ? 2
 
 $ dipole bench --in-flight 4096 --radii 65536
-! dipole bench: --connections, --in-flight, --radii: give less: together they take more than 1024 MiB for values
+! dipole bench: --in-flight, --radii: give less: together they take more than 1024 MiB for values
 ! `dipole bench --help` says more.
 ? 2
 

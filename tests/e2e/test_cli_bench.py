@@ -10,7 +10,7 @@ from command_line import Terminal, dipole
 
 SHORT = ("--seconds", "0.05")
 FIGURES = [
-    *("radii", "connections", "in_flight", "requests", "seconds", "p50_us", "p99_us", "max_us"),
+    *("radii", "in_flight", "requests", "seconds", "p50_us", "p99_us", "max_us"),
     *("requests_per_s", "radii_per_s", "bytes_per_s"),
 ]
 
@@ -30,7 +30,7 @@ def check_figures(figures: dict, channels: int, value_bytes: int, seconds: float
     quantiles = [figures[name] for name in ("p50_us", "p99_us", "max_us")]
     assert quantiles == sorted(quantiles) and quantiles[0] > 0
     # Requests that are outstanding at the same time share the time.
-    under_way = figures["connections"] * figures["in_flight"]
+    under_way = figures["in_flight"]
     assert quantiles[0] / 1e6 * requests <= 2.1 * under_way * figures["seconds"]
 
 
@@ -42,8 +42,8 @@ def test_json():
     for one in report["rows"]:
         assert list(one)[1:] == FIGURES
         check_figures(one, channels=3, value_bytes=4)
-    loads = [[one[name] for name in FIGURES[:3]] for one in report["rows"]]
-    assert loads == [[16, 1, 1], [16, 1, 64], [65536, 1, 1]]
+    loads = [[one[name] for name in FIGURES[:2]] for one in report["rows"]]
+    assert loads == [[16, 1], [16, 64], [65536, 1]]
 
 
 def test_the_load_is_the_one_that_was_asked_for(daemon):
@@ -51,23 +51,22 @@ def test_the_load_is_the_one_that_was_asked_for(daemon):
     with one.client() as watcher:
         before = watcher.statistics()
         report = bench_json(
-            *("--connect", one.url(), "--connections", "3", "--in-flight", "5"),
+            *("--connect", one.url(), "--in-flight", "5"),
             *("--radii", "7", "--large-radii", "1000", "--model", "transport"),
             *("--evaluator", "lut", "--medium", "marble"),
         )
         after = watcher.statistics()
     measurements = report["rows"]
-    loads = [[one[name] for name in FIGURES[:3]] for one in measurements]
-    assert loads == [[7, 1, 1], [7, 3, 5], [1000, 1, 1]]
+    loads = [[one[name] for name in FIGURES[:2]] for one in measurements]
+    assert loads == [[7, 1], [7, 5], [1000, 1]]
     for figures in measurements:
         check_figures(figures, channels=3, value_bytes=4)
-    assert after["connections_accepted"] - before["connections_accepted"] == 3
-    # Each connection sends one more request to warm up.
+    # Each measurement sends one more request to warm up.
     requests = [figures["requests"] for figures in measurements]
     evals = after["requests_eval"] - before["requests_eval"]
-    assert evals == sum(requests) + 1 + 3 + 1
+    assert evals == sum(requests) + 3
     radii = after["radii_transport"] - before["radii_transport"]
-    assert radii == 3 * (7 * (requests[0] + requests[1] + 4) + 1000 * (requests[2] + 1))
+    assert radii == 3 * (7 * (requests[0] + requests[1] + 2) + 1000 * (requests[2] + 1))
 
 
 def test_a_bar_when_it_takes_long():
