@@ -177,6 +177,12 @@ typedef struct cli_terminal {
 /* Returns the terminal as it is now: the user may change its size. */
 cli_terminal cli_terminal_look(void);
 
+/* ---- time -------------------------------------------------------------------------------------- */
+
+/* These return the time since some moment in the past. */
+uint64_t cli_now_ns(void);
+int64_t cli_now_ms(void);
+
 /* ---- memory: all of it is freed when the command has ended ----------------------------------- */
 
 /* These functions end the program when no memory is left. Blocks need not be freed, but those of

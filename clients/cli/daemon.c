@@ -72,16 +72,6 @@ dipole_client *cli_open(const cli_settings *settings) {
   return NULL;
 }
 
-uint64_t cli_now_ns(void) {
-  struct timespec now;
-  clock_gettime(CLOCK_MONOTONIC, &now);
-  return (uint64_t)now.tv_sec * 1000000000 + (uint64_t)now.tv_nsec;
-}
-
-int64_t cli_now_ms(void) {
-  return (int64_t)(cli_now_ns() / 1000000);
-}
-
 bool cli_try_again(const cli_settings *settings, int64_t start_ms, const dipole_error *error) {
   const uint64_t busy_ms = (uint64_t)(cli_now_ms() - start_ms);
   const bool is_patient = settings->retry_ms.given ? busy_ms < settings->retry_ms.value

@@ -11,10 +11,6 @@ void cli_connection_options(const cli_settings *settings, dipole_options *option
 /* Connects to --connect, $DIPOLED or a private daemon. On failure, says why and returns NULL. */
 dipole_client *cli_open(const cli_settings *settings);
 
-/* These return the time since some moment in the past. */
-uint64_t cli_now_ns(void);
-int64_t cli_now_ms(void);
-
 /* Returns whether a call that failed is to be made again: the daemon was busy, and --retry-ms, or
  * else --timeout-ms, have not passed since start_ms. If so, waits first as long as the daemon requests
  * for, a second at most. */

@@ -9,7 +9,7 @@
 #include <time.h>
 #include <unistd.h>
 
-#include "clients/cli/daemon.h"
+#include "clients/cli/cli.h"
 
 #define SHOW_AFTER_MS 2000
 #define SHOW_EVERY_MS 100
