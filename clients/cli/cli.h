@@ -177,7 +177,7 @@ typedef struct cli_terminal {
 /* Returns the terminal as it is now: the user may change its size. */
 cli_terminal cli_terminal_look(void);
 
-/* ---- time -------------------------------------------------------------------------------------- */
+/* ---- time ------------------------------------------------------------------------------------ */
 
 /* These return the time since some moment in the past. */
 uint64_t cli_now_ns(void);
