@@ -209,11 +209,14 @@ core_fault core_medium_check(const core_medium *medium);
  * only the last one may be a half space. */
 core_fault core_layers_check(const core_medium *medium, size_t layer_count);
 
-/* A medium measured by Jensen et al. 2001 (Figure 5), for red, green and blue. The paper gives
- * sigma_s' only: sigma_s holds it, g is 0, and eta is 1.3. */
+enum { CORE_NAME_BYTES = 17 };
+
+/* A medium with a name, for red, green and blue: one measured by Jensen et al. 2001 (Figure 5), who
+ * give sigma_s' only, so that sigma_s holds it, g is 0, and eta is 1.3; or layers of skin (medium.c). */
 typedef struct core_measured_medium {
-  const char *name;
-  core_medium channel[3];
+  char name[CORE_NAME_BYTES];
+  size_t layer_count;
+  core_medium channel[3 * CORE_LAYERS_MAX]; /* [3][layer_count] */
 } core_measured_medium;
 
 extern const core_measured_medium core_measured_media[];
@@ -332,7 +335,8 @@ typedef struct core_profile {
   /* The error of BY_SIGMA_A and BY_SIGMA_S: absolute, at radii within 0.9 of `reach`. */
   double derivative_error;
   double derivative_error_per_mm;
-  double derivative_errors[CORE_MODEL_ERROR_BANDS + 1]; /* further error in each band; the last is 0 */
+  double
+      derivative_errors[CORE_MODEL_ERROR_BANDS + 1]; /* further error in each band; the last is 0 */
   core_reach reach;
   double T_error; /* the same of T, relative, 0 where T is 0 */
   core_reach T_reach;

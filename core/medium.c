@@ -52,12 +52,31 @@ core_fault core_layers_check(const core_medium *medium, size_t layer_count) {
   { sigma_a, sigma_s_prime, 0, 1.3 }
 #define MEDIUM(name, s_r, s_g, s_b, a_r, a_g, a_b)                                                 \
   {                                                                                                \
-    name, {                                                                                        \
+    name, 1, {                                                                                     \
       CHANNEL(s_r, a_r), CHANNEL(s_g, a_g), CHANNEL(s_b, a_b)                                      \
     }                                                                                              \
   }
 
-/* Each line has sigma_s' and sigma_a in 1/mm for red, green and blue, from Jensen, Marschner,
+/* Skin of two layers at 610, 550 and 460 nm: an epidermis of 0.06 mm over a dermis. The arguments are
+ * sigma_a of both in 1/mm, after Jacques 2013 (Phys. Med. Biol. 58, R37), Table 3, rows 11, 13 and 14
+ * (Tseng et al. 2011: skin types I-II, III-IV, V-VI): 0.87, 1.15 and 1.65 % of melanosomes (Eq. 8) in
+ * the epidermis; haemoglobin of 7.9, 9.6 and 2.7 uM with 98.5, 99.2 and 99.3 % of oxygen (Prahl's
+ * spectra) in the dermis; and in both bloodless skin, 0.0244 + 8.53 exp(-(lambda - 154) / 66.2)
+ * (Jacques 1998). sigma_s' is 6.87 (lambda / 500)^-1.161 and 4.53 (lambda / 500)^-1.292 (Table 1), g
+ * is 0.62 + 0.00029 lambda (van Gemert et al. 1989). */
+#define LAYERS(a, s, g, dermis_a, dermis_s)                                                        \
+  {a, s, g, 1.4, 0.06}, {                                                                          \
+    dermis_a, dermis_s, g, 1.4                                                                     \
+  }
+#define SKIN(name, a_r, a_g, a_b, d_r, d_g, d_b)                                                   \
+  {                                                                                                \
+    name, 2, {                                                                                     \
+      LAYERS(a_r, 26.85, 0.797, d_r, 17.25), LAYERS(a_g, 27.89, 0.7795, d_g, 18.16),               \
+          LAYERS(a_b, 30.69, 0.753, d_b, 20.46)                                                    \
+    }                                                                                              \
+  }
+
+/* Each line but those of SKIN() has sigma_s' and sigma_a in 1/mm for red, green and blue, from Jensen, Marschner,
  * Levoy, Hanrahan 2001, Figure 5. */
 const core_measured_medium core_measured_media[] = {
     MEDIUM("apple", 2.29, 2.39, 1.97, 0.0030, 0.0034, 0.046),
@@ -68,6 +87,9 @@ const core_measured_medium core_measured_media[] = {
     MEDIUM("marble", 2.19, 2.62, 3.00, 0.0021, 0.0041, 0.0071),
     MEDIUM("potato", 0.68, 0.70, 0.55, 0.0024, 0.0090, 0.12),
     MEDIUM("skimmilk", 0.70, 1.22, 1.90, 0.0014, 0.0025, 0.0142),
+    SKIN("skin-dark", 0.505, 0.689, 1.21, 0.0341, 0.0727, 0.136),
+    SKIN("skin-light", 0.282, 0.385, 0.688, 0.0361, 0.124, 0.189),
+    SKIN("skin-medium", 0.362, 0.494, 0.875, 0.0366, 0.141, 0.206),
     MEDIUM("skin1", 0.74, 0.88, 1.01, 0.032, 0.17, 0.48),
     MEDIUM("skin2", 1.09, 1.59, 1.79, 0.013, 0.070, 0.145),
     MEDIUM("spectralon", 11.6, 20.4, 14.9, 0, 0, 0),

@@ -1044,13 +1044,15 @@ const uint64_t *dipole_mc_photons(const dipole_mc_result *result, enum dipole_mc
 
 /* ---- the rest ------------------------------------------------------------------------------ */
 
-/* A measured medium. Its three channels are red, green and blue. */
+/* A medium with a name. Its three channels are red, green and blue: `channel` and layer_count are
+ * the media and layer_count of a query with three media. */
 typedef struct dipole_measured_medium {
   char name[17];
-  dipole_medium channel[3];
+  uint32_t layer_count;
+  dipole_medium channel[3 * 8]; /* [3][layer_count] */
 } dipole_measured_medium;
 
-/* Requests the daemon's measured media. *media is an array of *count, which the caller frees with
+/* Requests the media that the daemon knows by name. *media is an array of *count, which the caller frees with
  * free(). */
 bool dipole_media(dipole_client *client, dipole_measured_medium **media, size_t *count,
                   dipole_error *error);

@@ -183,31 +183,46 @@ static libdipole_frame *request_list(dipole_client *client, enum wire_type type,
   return frame;
 }
 
-static void get_measured_medium(const uint8_t *at, dipole_measured_medium *medium) {
+/* Adds a layer to the medium of its name, which is the last one, or begins a medium with it. A layer
+ * beyond CORE_LAYERS_MAX is left out. */
+static void add_layer(const uint8_t *at, dipole_measured_medium *media, size_t *count) {
   wire_measured_medium from;
+  dipole_medium all[3][CORE_LAYERS_MAX] = {0};
   wire_get_measured_medium(at, &from);
   libdipole_clean_text(from.name);
+  *count += *count == 0 || strcmp(media[*count - 1].name, from.name) != 0;
+  dipole_measured_medium *medium = &media[*count - 1];
+  const size_t layers = medium->layer_count;
   _Static_assert(sizeof medium->name == sizeof from.name, "name");
   memcpy(medium->name, from.name, sizeof from.name);
-  for (size_t i = 0; i < sizeof medium->channel / sizeof medium->channel[0]; i++) {
-    medium->channel[i] = (dipole_medium){.sigma_a_per_mm = from.sigma_a[i],
-                                         .sigma_s_per_mm = from.sigma_s[i],
-                                         .g = from.g,
-                                         .eta = from.eta};
+  if (layers == CORE_LAYERS_MAX) {
+    return;
+  }
+  for (size_t i = 0; i < 3; i++) {
+    memcpy(all[i], &medium->channel[i * layers], layers * sizeof all[0][0]);
+    all[i][layers] = (dipole_medium){from.sigma_a[i], from.sigma_s[i], from.g[i], from.eta[i],
+                                     from.thickness[i]};
+  }
+  medium->layer_count++;
+  for (size_t i = 0; i < 3; i++) {
+    memcpy(&medium->channel[i * (layers + 1)], all[i], (layers + 1) * sizeof all[0][0]);
   }
 }
 
 bool dipole_media(dipole_client *client, dipole_measured_medium **media, size_t *count,
                   dipole_error *error) {
   error = error != NULL ? error : &(dipole_error){0};
-  libdipole_frame *frame = request_list(client, WIRE_TYPE_MEDIA, &schema_media_reply, count, error);
+  size_t layers;
+  libdipole_frame *frame =
+      request_list(client, WIRE_TYPE_MEDIA, &schema_media_reply, &layers, error);
   if (frame == NULL) {
     return false;
   }
-  *media = calloc(*count + 1, sizeof **media); /* so that *media is not NULL for an empty list */
-  for (size_t i = 0; *media != NULL && i < *count; i++) {
-    get_measured_medium(frame->payload + WIRE_BYTES_list_reply + i * WIRE_BYTES_measured_medium,
-                        &(*media)[i]);
+  *count = 0;
+  *media = calloc(layers + 1, sizeof **media); /* so that *media is not NULL for an empty list */
+  for (size_t i = 0; *media != NULL && i < layers; i++) {
+    add_layer(frame->payload + WIRE_BYTES_list_reply + i * WIRE_BYTES_measured_medium, *media,
+              count);
   }
   free(frame);
   return *media != NULL || libdipole_fail_memory(error);

@@ -565,7 +565,7 @@ static void write_table(const void *context) {
   puts(
       "errors are relative, but of ln R and its derivatives absolute, as the cdf's model error is, "
       "and\nof R_f over the albedo");
-  cli_write_launched(profile->media, profile->channel_count);
+  cli_write_launched(profile->media, profile->channel_count, profile->layer_count);
   unsigned notes = 0;
   for (size_t i = 0; i < report->model_count; i++) {
     notes |= report->models[i].notes;

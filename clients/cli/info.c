@@ -1,5 +1,6 @@
 /* dipole info: the daemon, what it offers, its limits and its statistics; dipole media: its
  * measured media. */
+#include <math.h>
 #include <stdlib.h>
 
 #include "clients/cli/daemon.h"
@@ -119,7 +120,17 @@ static void put_channel(cli_rows *rows, const void *context, size_t index) {
   const bool again = rows->form == CLI_TABLE && channel > 0;
   cli_put_text(rows, again ? "" : media[index / CLI_COLOURS].name, "medium");
   cli_put_text(rows, cli_colours[channel], "channel");
-  cli_put_medium(rows, &media[index / CLI_COLOURS].channel[channel], 1);
+  const uint32_t layers = media[index / CLI_COLOURS].layer_count;
+  const dipole_medium *medium = &media[index / CLI_COLOURS].channel[channel * layers];
+  const dipole_medium none = {(double)NAN, (double)NAN, (double)NAN, (double)NAN, 0};
+  if (layers > 1 && rows->form == CLI_TABLE) {
+    for (size_t i = 0; i < 4; i++) {
+      cli_put_text(rows, "", "");
+    }
+  } else {
+    cli_put_medium(rows, layers == 1 ? medium : &none, 1);
+  }
+  cli_put_layers(rows, medium, layers > 1 ? layers : 0);
 }
 
 static int run_media(const cli_settings *settings, dipole_client *client) {
@@ -137,8 +148,11 @@ static int run_media(const cli_settings *settings, dipole_client *client) {
 
 const cli_command cli_command_media = {
     .name = "media",
-    .about = "List the measured media and their coefficients",
-    .more = "Only sigma_s (1 - g) was measured. It is listed as sigma_s, with g = 0.",
+    .about = "List the media with names: their coefficients, or layers",
+    .more =
+        "Half spaces are those of Jensen et al. 2001, who measured sigma_s (1 - g): sigma_s holds "
+        "it, with g = 0. Layers, as --layer takes them, are skin of types I-II (light), III-IV "
+        "(medium) and V-VI (dark) at 610, 550 and 460 nm, after Jacques 2013.",
     .formats = "table,csv,json",
     .run = run_media,
     .examples = "  dipole media\n"

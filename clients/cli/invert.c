@@ -143,7 +143,7 @@ static void put_facts(cli_rows *rows, const void *context, size_t index) {
 
 static void write_foot(const void *context) {
   const report *of = context;
-  cli_write_launched(&of->items[0].medium, of->count > 0 ? 1 : 0); /* all media have one eta */
+  cli_write_launched(&of->items[0].medium, of->count > 0 ? 1 : 0, 1); /* all media have one eta */
 }
 
 /* ---- the command ----------------------------------------------------------------------------- */

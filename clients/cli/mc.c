@@ -316,7 +316,7 @@ static void write_table(const void *context) {
              : "\n");
     cli_rows_print(stdout, 2, of->result->albedo_count * rows_of(of), put_row,
                    &(const reports){1, of});
-    cli_write_launched(of->query.layers, 1);
+    cli_write_launched(of->query.layers, 1, 1);
   }
   if (all->items[0].r->count == 0) {
     puts("under, over: within the first ring's inner edge, and beyond the last ring; unscattered: "

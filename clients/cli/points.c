@@ -50,14 +50,16 @@ enum {
   MOMENTS,
   MEDIUM,
   CHANNEL,
+  LAYERS,
   FIRST_NUMBER,
   THICKNESS = FIRST_NUMBER + 4,
   RADIUS,
   INPUTS
 };
 
-static const char *const inputs[INPUTS] = {"model",   "moments", "medium", "channel",   "sigma_a",
-                                           "sigma_s", "g",       "eta",    "thickness", "r"};
+static const char *const inputs[INPUTS] = {"model",  "moments",   "medium",  "channel",
+                                           "layers", "sigma_a",   "sigma_s", "g",
+                                           "eta",    "thickness", "r"};
 
 enum { NAMES_MAX = INPUTS + CLI_PARAMETERS_MAX + CLI_QUANTITIES_MAX + 3 };
 
@@ -89,6 +91,9 @@ typedef struct points_row {
   enum row_state state;
   unsigned model, evaluator, moments;
   dipole_medium medium;
+  dipole_medium read[CORE_LAYERS_MAX]; /* layers of its cell */
+  const dipole_medium *layers; /* [layer_count] in place of `medium`; NULL: the row has none */
+  uint32_t layer_count;
   double r_mm; /* of its cell */
   cli_parameters parameters;
   uint64_t id;
@@ -222,7 +227,8 @@ static void list_columns(const points_run *points, columns *of) {
 static bool is_required(const points_run *points, size_t input) {
   return input == RADIUS ? !has_radii(points)
                          : input >= FIRST_NUMBER && input != THICKNESS &&
-                               points->columns.at[MEDIUM] == CLI_CSV_ABSENT;
+                               points->columns.at[MEDIUM] == CLI_CSV_ABSENT &&
+                               points->columns.at[LAYERS] == CLI_CSV_ABSENT;
 }
 
 /* Finds the columns. Says what is wrong and returns false if one is missing, misspelt or stands
@@ -244,10 +250,10 @@ static bool find_columns(points_run *points, const cli_csv_record *header) {
   }
   for (size_t i = 0; i < INPUTS; i++) {
     if (is_required(points, i) && of->at[i] == CLI_CSV_ABSENT) {
-      return cli_csv_fail_missing(
-          points->source, header, of->names[i],
-          "sigma_a, sigma_s, g and eta, or medium and channel; and r unless --r is given; and may "
-          "have model, moments and parameters");
+      return cli_csv_fail_missing(points->source, header, of->names[i],
+                                  "sigma_a, sigma_s, g and eta, or medium and channel, or layers; "
+                                  "and r unless --r is given; and may "
+                                  "have model, moments and parameters");
     }
   }
   return true;
@@ -449,19 +455,45 @@ static bool take_measured(const points_run *points, const char *name, const char
     return make_bad(row, "channel: '%.*s': allowed: red, green, blue", SHOWN_BYTES,
                     channel != NULL ? channel : "");
   }
-  row->medium = points->media[i].channel[colour];
+  row->layer_count = points->media[i].layer_count;
+  row->medium = points->media[i].channel[colour * row->layer_count];
+  row->layers = row->layer_count > 1 ? &points->media[i].channel[colour * row->layer_count] : NULL;
   return true;
 }
 
+/* Reads layers with blanks between them. */
+static bool read_layers(points_row *row, const char *text) {
+  char *copy = cli_copy(text, strlen(text)), *one;
+  bool good = true;
+  row->layers = row->read;
+  for (char *rest = copy; good && (one = strsep(&rest, " ")) != NULL;) {
+    good =
+        row->layer_count < CORE_LAYERS_MAX && cli_layer_read(one, &row->read[row->layer_count++]);
+  }
+  cli_free(copy);
+  return good || make_bad(row,
+                          "layers: '%.*s': allowed: 1 to 8 of SIGMA_A,SIGMA_S,G,ETA[,THICKNESS] "
+                          "with blanks between them",
+                          SHOWN_BYTES, text);
+}
+
 /* Reads the medium and the radius. The coefficients are those in the cells or, if sigma_a and
- * sigma_s are both empty, those of a measured medium, which the other cells override. */
+ * sigma_s are both empty, the layers in their cell, or those of a measured medium, which the other
+ * cells override. */
 static bool read_medium(const points_run *points, points_row *row) {
   const char *name = text_of(points, row, MEDIUM);
-  const bool measured = name != NULL && text_of(points, row, FIRST_NUMBER) == NULL &&
+  const char *layers = text_of(points, row, LAYERS);
+  const bool measured = (name != NULL || layers != NULL) &&
+                        text_of(points, row, FIRST_NUMBER) == NULL &&
                         text_of(points, row, FIRST_NUMBER + 1) == NULL;
-  bool good = !measured || take_measured(points, name, text_of(points, row, CHANNEL), row);
+  bool good = !measured ||
+              (layers != NULL ? read_layers(row, layers)
+                              : take_measured(points, name, text_of(points, row, CHANNEL), row));
   row->medium.thickness_mm = cli_numbers_pick(&points->settings->thickness, 0, 0);
   for (size_t i = FIRST_NUMBER; good && i < INPUTS; i++) {
+    if (row->layers != NULL && i < RADIUS && text_of(points, row, i) != NULL) {
+      return make_bad(row, "%s: its layers have theirs: leave the cell empty", inputs[i]);
+    }
     const bool needed = i == RADIUS ? !has_radii(points) : i != THICKNESS && !measured;
     good = (!needed && text_of(points, row, i) == NULL) || read_number(points, row, i);
   }
@@ -529,7 +561,7 @@ static bool submit_row(const points_run *points, points_row *row, dipole_error *
   cli_parameters parameters = row->parameters;
   unsigned evaluator = row->evaluator;
   if (row->model == points->transport && evaluator == DIPOLE_LUT &&
-      points->profile.evaluator == NULL) {
+      points->profile.evaluator == NULL && row->layers == NULL) {
     evaluator = DIPOLE_F32;
     cli_parameters_remove(&parameters, points->tolerance);
   }
@@ -537,7 +569,8 @@ static bool submit_row(const points_run *points, points_row *row, dipole_error *
                               .evaluator = evaluator,
                               .moments = row->moments,
                               .wanted = wanted_of(points),
-                              .media = &row->medium,
+                              .media = row->layers != NULL ? row->layers : &row->medium,
+                              .layer_count = row->layers != NULL ? row->layer_count : 1,
                               .medium_count = 1,
                               .spacing = DIPOLE_LIST,
                               .radii = evaluator == DIPOLE_F64 ? f64 : f32,
@@ -643,7 +676,7 @@ static bool is_worth_a_surface(points_run *points, const points_row *row) {
  * values are those of a table. */
 static bool is_for_group(points_run *points, const points_row *row) {
   return (points->quantities.wanted & ~(unsigned)GROUP_QUANTITIES) == 0 && row->model < MODELS &&
-         !(row->medium.thickness_mm > 0) &&
+         row->layers == NULL && !(row->medium.thickness_mm > 0) &&
          (row->model != points->transport ||
           (row->evaluator == DIPOLE_LUT && is_worth_a_surface(points, row)));
 }
@@ -966,7 +999,8 @@ const cli_command cli_command_points = {
     .more =
         "The header names the columns, in any order. These are needed: sigma_a, sigma_s (1/mm), "
         "g, eta and r (mm). In place of the coefficients, a row may name a measured medium in "
-        "the columns medium and channel (red, green, blue). These may be absent or empty: "
+        "the columns medium and channel (red, green, blue), or have the column layers: those of "
+        "--layer, with blanks between them. These may be absent or empty: "
         "model, moments (default: exact), and the parameters below, whose columns have _ where "
         "the options have -. An option is for the rows whose cell is empty. A column whose name "
         "is nearly one of these is an error; all others are copied.\n"
@@ -979,7 +1013,7 @@ const cli_command cli_command_points = {
     .options = {options},
     .parameters = CLI_OF_MODELS,
     .examples = "  dipole points media.csv > profiles.csv\n"
-                "  dipole media --format csv | dipole points --r 0.5,1,2 --wanted R,cdf\n"
+                "  dipole media --format csv | dipole points --r 0.5,1,2 --model transport --tolerance 0.01\n"
                 "  dipole points media.csv --wanted R --errors\n"
                 "  dipole invert --albedo 0.4,0.2 --mean-free-path 1 --format csv |\n"
                 "    dipole points --r 1 --model better\n"

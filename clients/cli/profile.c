@@ -15,7 +15,7 @@
 const cli_option cli_medium_options[] = {
     CLI_TITLE("Medium"),
     CLI_OPTION(NAMES, medium, NULL,
-               "measured media: red, green and blue of each; `dipole media` lists them"),
+               "media by name: red, green and blue of each; `dipole media` lists them"),
     CLI_OPTION(NAMES, channel, NULL,
                "red, green or blue. Only these channels are taken (default: all)"),
     CLI_OPTION(NUMBERS, sigma_a, NULL, "absorption coefficient, 1/mm; one value for each channel"),
@@ -158,8 +158,7 @@ bool cli_medium_given(const cli_settings *settings) {
          settings->thickness.count > 0 || settings->layer.count > 0;
 }
 
-/* Reads the text of --layer. */
-static bool read_layer(const char *text, dipole_medium *layer) {
+bool cli_layer_read(const char *text, dipole_medium *layer) {
   double numbers[5] = {0};
   size_t count = 0;
   for (char *rest = cli_copy(text, strlen(text)), *one; (one = strsep(&rest, ",")) != NULL;) {
@@ -185,7 +184,7 @@ static int check_layers(const cli_settings *settings) {
   }
   for (size_t i = 0; i < layers->count; i++) {
     dipole_medium layer;
-    if (!read_layer(layers->items[i], &layer)) {
+    if (!cli_layer_read(layers->items[i], &layer)) {
       return cli_fail_usage("--layer %s: give SIGMA_A,SIGMA_S,G,ETA, and the thickness in mm of a "
                             "layer that is no half space",
                             layers->items[i]);
@@ -257,7 +256,7 @@ static int fail_unknown_medium(const char *name, const dipole_measured_medium *m
   return cli_fail_usage("--medium: '%s' is unknown; this daemon has %s", name, known);
 }
 
-/* Sets the medium of a channel: that of the options, or a colour of a measured medium, whose
+/* Sets the medium of a channel: that of the options, or a colour of a measured half space, whose
  * reduced scattering coefficient stays. */
 static void set_medium(const cli_settings *settings, size_t i, const dipole_medium *measured,
                        dipole_medium *medium) {
@@ -272,46 +271,74 @@ static void set_medium(const cli_settings *settings, size_t i, const dipole_medi
   medium->thickness_mm = cli_numbers_pick(&settings->thickness, i, 0);
 }
 
-/* Sets the media of all channels. The name of a channel is its number, or its colour, behind the
- * name of the measured medium if there are several of those. */
-static int take_media(const cli_settings *settings, dipole_client *client, cli_profile *profile) {
+/* Sets the channels of the media with names. The name of a channel is its colour, behind the name of
+ * the medium if there are several. */
+static int take_named(const cli_settings *settings, const dipole_measured_medium *known,
+                      size_t known_count, cli_profile *profile) {
   const cli_texts *names = &settings->medium;
-  dipole_measured_medium *known = NULL;
-  dipole_error error;
-  size_t colours[CLI_COLOURS], known_count = 0;
-  const size_t each = list_colours(settings, colours);
-  int status = CLI_OK;
-  if (names->count > 0 && !dipole_media(client, &known, &known_count, &error)) {
-    return cli_fail_error(&error);
-  }
-  profile->medium = names->whole;
-  for (size_t i = 0; i < settings->layer.count; i++) {
-    snprintf(profile->names[0], CLI_CHANNEL_BYTES, "1");
-    read_layer(settings->layer.items[i], &profile->media[i]);
-  }
-  for (size_t i = 0; settings->layer.count == 0 && status == CLI_OK && i < profile->channel_count;
-       i++) {
-    char *to = profile->names[i];
-    const dipole_medium *measured = NULL;
-    snprintf(to, CLI_CHANNEL_BYTES, "%zu", i + 1);
-    if (names->count > 0) {
-      const char *name = names->items[i / each];
-      size_t k = 0;
-      while (k < known_count && strcmp(known[k].name, name) != 0) {
-        k++;
-      }
-      if (k == known_count) {
-        status = fail_unknown_medium(name, known, known_count);
-        continue;
-      }
-      measured = &known[k].channel[colours[i % each]];
-      snprintf(to, CLI_CHANNEL_BYTES, "%s%s%s", names->count > 1 ? name : "",
-               names->count > 1 ? " " : "", cli_colours[colours[i % each]]);
+  size_t colours[CLI_COLOURS];
+  const size_t each = list_colours(settings, colours), count = profile->channel_count;
+  for (size_t i = 0; i < count; i++) {
+    const char *name = names->items[i / each];
+    const dipole_measured_medium *one = known;
+    while (one < known + known_count && strcmp(one->name, name) != 0) {
+      one++;
     }
-    set_medium(settings, i, measured, &profile->media[i]);
+    if (one == known + known_count) {
+      return fail_unknown_medium(name, known, known_count);
+    }
+    const uint32_t layers = one->layer_count;
+    if (i == 0) {
+      cli_profile_set_channels(profile, count, layers);
+    } else if (profile->layer_count != layers) {
+      return cli_fail_usage("--medium: %s and %s differ in the number of layers: take one command "
+                            "for each",
+                            names->items[0], name);
+    }
+    if (layers > 1 && cli_options_find("layer") == NULL) {
+      return cli_fail_usage("--medium %s has layers: this command takes half spaces", name);
+    }
+    if (layers > 1 && settings->g.count + settings->eta.count + settings->thickness.count > 0) {
+      return cli_fail_usage("--medium %s has layers: leave --g, --eta and --thickness out", name);
+    }
+    const dipole_medium *from = &one->channel[colours[i % each] * layers];
+    dipole_medium *to = &profile->media[i * layers];
+    memcpy(to, from, layers * sizeof *to);
+    if (layers == 1) {
+      set_medium(settings, i, from, to);
+    }
+    snprintf(profile->names[i], CLI_CHANNEL_BYTES, "%s%s%s", names->count > 1 ? name : "",
+             names->count > 1 ? " " : "", cli_colours[colours[i % each]]);
   }
-  free(known);
-  return status;
+  return CLI_OK;
+}
+
+/* Sets the media of all channels. The name of one that has none is its number. */
+static int take_media(const cli_settings *settings, dipole_client *client, size_t count,
+                      cli_profile *profile) {
+  const size_t layers = settings->layer.count;
+  dipole_measured_medium *known;
+  dipole_error error;
+  size_t known_count;
+  profile->medium = settings->medium.whole;
+  profile->channel_count = count;
+  if (settings->medium.count > 0) {
+    if (!dipole_media(client, &known, &known_count, &error)) {
+      return cli_fail_error(&error);
+    }
+    const int status = take_named(settings, known, known_count, profile);
+    free(known);
+    return status;
+  }
+  cli_profile_set_channels(profile, count, layers > 0 ? (uint32_t)layers : 1);
+  for (size_t i = 0; i < count; i++) {
+    snprintf(profile->names[i], CLI_CHANNEL_BYTES, "%zu", i + 1);
+    set_medium(settings, i, NULL, &profile->media[i]);
+  }
+  for (size_t i = 0; i < layers; i++) {
+    cli_layer_read(settings->layer.items[i], &profile->media[i]);
+  }
+  return CLI_OK;
 }
 
 /* Counts the channels. All options that have more than one value must have the same number. */
@@ -381,9 +408,7 @@ int cli_profile_take(const cli_settings *settings, dipole_client *client, cli_pr
   if (!cli_profile_take_names(settings, client, profile) || !count_channels(settings, &count)) {
     return CLI_USAGE;
   }
-  cli_profile_set_channels(profile, count,
-                           settings->layer.count > 0 ? (uint32_t)settings->layer.count : 1);
-  return take_media(settings, client, profile);
+  return take_media(settings, client, count, profile);
 }
 
 /* Returns whether an id is that of one quantity. Sums of several quantities have no values of their
@@ -463,16 +488,16 @@ void cli_put_notes(cli_rows *rows, const dipole_info *info, unsigned notes) {
   cli_put_text(rows, text, "notes");
 }
 
-void cli_write_launched(const dipole_medium *media, size_t count) {
+void cli_write_launched(const dipole_medium *media, size_t count, uint32_t layer_count) {
   const char *before = "per unit of power launched: values times 1 - ((eta - 1) / (eta + 1))^2 =";
   for (size_t i = 0; i < count; i++) {
     bool reported = false;
     for (size_t k = 0; k < i; k++) {
-      reported = reported || media[k].eta == media[i].eta;
+      reported = reported || media[k * layer_count].eta == media[i * layer_count].eta;
     }
     if (!reported) {
-      const double share = (media[i].eta - 1) / (media[i].eta + 1);
-      printf("%s %.6g (eta %.6g)", before, 1 - share * share, media[i].eta);
+      const double eta = media[i * layer_count].eta, share = (eta - 1) / (eta + 1);
+      printf("%s %.6g (eta %.6g)", before, 1 - share * share, eta);
       before = ",";
     }
   }

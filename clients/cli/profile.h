@@ -115,6 +115,10 @@ size_t cli_colour(const char *name);
 
 enum { CLI_CHANNEL_BYTES = 36 };
 
+/* Reads a layer: SIGMA_A,SIGMA_S,G,ETA and, unless it is a half space, its thickness in mm. Returns
+ * false if the text is no such list of numbers. */
+bool cli_layer_read(const char *text, dipole_medium *layer);
+
 /* ---- the whole profile ----------------------------------------------------------------------- */
 
 typedef struct cli_profile {
@@ -183,8 +187,8 @@ void cli_put_parameters(cli_rows *rows, const dipole_info *info, const cli_param
 void cli_put_notes(cli_rows *rows, const dipole_info *info, unsigned notes);
 
 /* How to get from power that entered to power that was launched, for each eta of the media: rule E8
- * of proto/PROTOCOL.md. */
-void cli_write_launched(const dipole_medium *media, size_t count);
+ * of proto/PROTOCOL.md. media: [count][layer_count] */
+void cli_write_launched(const dipole_medium *media, size_t count, uint32_t layer_count);
 
 /* "note: NAME: what it says", a line for each note in the sum `notes`. */
 void cli_write_notes(const dipole_info *info, unsigned notes);

@@ -243,18 +243,22 @@ void cli_rows_text(cli_rows *rows, const char *text, const cli_column *column) {
   }
 }
 
-void cli_put_medium(cli_rows *rows, const dipole_medium *layers, size_t count) {
-  const dipole_medium *medium = &layers[0];
+void cli_put_layers(cli_rows *rows, const dipole_medium *layers, size_t count) {
   char text[1024] = "";
-  for (size_t i = 0, length = 0; count > 1 && i < count; i++) {
+  for (size_t i = 0, length = 0; i < count; i++) {
     const dipole_medium *of = &layers[i];
     length += (size_t)snprintf(
         text + length, sizeof text - length,
         of->thickness_mm > 0 ? "%s%.9g,%.9g,%.9g,%.9g,%.9g" : "%s%.9g,%.9g,%.9g,%.9g",
         i > 0 ? " " : "", of->sigma_a_per_mm, of->sigma_s_per_mm, of->g, of->eta, of->thickness_mm);
   }
+  cli_put_text(rows, text, "layers");
+}
+
+void cli_put_medium(cli_rows *rows, const dipole_medium *layers, size_t count) {
+  const dipole_medium *medium = &layers[0];
   if (count > 1) {
-    cli_put_text(rows, text, "layers");
+    cli_put_layers(rows, layers, count);
     return;
   }
   cli_put_number(rows, medium->sigma_a_per_mm, "sigma_a", .unit = "1/mm");

@@ -70,6 +70,9 @@ double cli_value(const dipole_result *result, uint32_t channel, unsigned quantit
 /* Returns the numerical error of the values at a radius. */
 double cli_numerical_error(const dipole_errors *errors, double r_mm);
 
+/* Writes the layers of a medium as one text: those of --layer, with blanks between them. */
+void cli_put_layers(cli_rows *rows, const dipole_medium *layers, size_t count);
+
 /* Writes the coefficients of a medium, or its layers as one text. */
 void cli_put_medium(cli_rows *rows, const dipole_medium *layers, size_t count);
 

@@ -145,7 +145,9 @@ static int describe(const char *path, const tables *of, cli_eval_report *report)
     snprintf(report->profile.names[i], CLI_CHANNEL_BYTES, "%zu", i + 1);
     for (size_t k = 0; k < core_measured_media_count * CLI_COLOURS; k++) {
       const core_measured_medium *known = &core_measured_media[k / CLI_COLOURS];
-      if (memcmp(&known->channel[k % CLI_COLOURS], &info->medium, sizeof info->medium) == 0) {
+      if (known->layer_count == info->layer_count &&
+          memcmp(&known->channel[k % CLI_COLOURS * known->layer_count], info->layers,
+                 info->layer_count * sizeof *info->layers) == 0) {
         snprintf(report->profile.names[i], CLI_CHANNEL_BYTES, "%s %s", known->name,
                  cli_colours[k % CLI_COLOURS]);
       }
@@ -333,7 +335,7 @@ static void write_foot(const void *context) {
   for (size_t i = 0; i < of->tables.count; i++) {
     notes |= dipole_table_get_info(of->tables.items[i])->notes;
   }
-  cli_write_launched(of->profile.media, of->profile.channel_count);
+  cli_write_launched(of->profile.media, of->profile.channel_count, of->profile.layer_count);
   cli_write_notes(of->profile.info, notes);
 }
 

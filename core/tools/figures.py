@@ -410,13 +410,7 @@ def draw_tissue(path: Path, columns: dict[str, np.ndarray]) -> None:
 
 # ---- layers --------------------------------------------------------------------------------------
 
-# Jacques 2013, for skin of type III: 0.9 % of melanosomes in an epidermis of 0.06 mm; haemoglobin of
-# 4.7 uM, 39 % of it with oxygen, in the dermis; sigma_s' of both, bloodless skin. g: van Gemert 1989.
-SKIN = {
-    "610 nm": [dipole.Medium(0.290, 26.85, 0.797, 1.4, 0.06), dipole.Medium(0.0400, 17.25, 0.797, 1.4)],
-    "550 nm": [dipole.Medium(0.397, 27.89, 0.780, 1.4, 0.06), dipole.Medium(0.0994, 18.16, 0.780, 1.4)],
-    "460 nm": [dipole.Medium(0.707, 30.69, 0.753, 1.4, 0.06), dipole.Medium(0.1425, 20.46, 0.753, 1.4)],
-}
+SKIN, WAVES = "skin-medium", ("610 nm", "550 nm", "460 nm")
 SKIN_COLOURS = "#d55e00", "#009e73", "#0072b2"
 SKIN_R = np.geomspace(0.02, 10, 60)  # mm
 SLAB = dipole.Medium(0.05, 10.0, 0.8, 1.4, 2.0)
@@ -429,8 +423,8 @@ def layers_columns(
     """R of skin's layers, and of the one medium with the dermis's mean free path that has the same
     albedo; and light on both sides of a slab by Monte Carlo and multipoles."""
     skin, wanted = {"r": SKIN_R}, ["R", "albedo"]
-    for name, layers in SKIN.items():
-        stack = client.eval("transport", [layers], SKIN_R, tolerance=1e-2, wanted=wanted)
+    for name, layers in zip(WAVES, client.media()[SKIN]):
+        stack = client.eval("transport", layers, SKIN_R, tolerance=1e-2, wanted=wanted)
         _, s, g, eta, *_ = layers[1]
         length = 1 / (layers[1].sigma_a + s * (1 - g))
         one = client.invert("transport", float(stack.albedo[0]), length, g=g, eta=eta)
@@ -448,7 +442,7 @@ def layers_columns(
 
 def draw_layers(path: Path, skin: dict[str, np.ndarray], slab: dict[str, np.ndarray]) -> None:
     figure, both = plt.subplots(1, 2, figsize=(11, 5), layout="constrained")
-    for name, colour in zip(SKIN, SKIN_COLOURS):
+    for name, colour in zip(WAVES, SKIN_COLOURS):
         both[0].plot(SKIN_R, skin[name], color=colour, label=f"{name}: epidermis and dermis")
         one = skin[f"{name}, one medium"]
         both[0].plot(SKIN_R, one, "--", color=colour, label=f"{name}: one medium, same albedo")
@@ -457,7 +451,7 @@ def draw_layers(path: Path, skin: dict[str, np.ndarray], slab: dict[str, np.ndar
     walked = [np.concatenate([slab[f"{name}{of}"] for name in "RT"]) for of in ("", "_error")]
     draw_dots(both[1], np.tile(slab["r"], 2), *walked, np.asarray)
     a, s, g, eta, thickness = SLAB
-    both[0].set(title="skin of type III", ylabel="R (1/mm² per power that entered)")
+    both[0].set(title=SKIN, ylabel="R (1/mm² per power that entered)")
     both[1].set(title=f"slab of {thickness:g} mm: σa {a:g}/mm, σs {s:g}/mm, g {g:g}, η {eta:g}")
     for axes in both:
         axes.set(xscale="log", yscale="log", xlabel="r (mm)")

@@ -148,11 +148,15 @@ static bool add_measured(struct translation *t, const char *name, size_t index) 
   const core_measured_medium *measured = core_measured_medium_by_name(name);
   bool good = measured != NULL ||
               fail_at(t, bad_value("medium", "a name of /v1/media, or coefficients"), index);
-  for (int i = 0; good && i < 3; i++) {
+  const size_t layers = measured != NULL ? measured->layer_count : 0;
+  if (layers > 1 && t->thickness_mm > 0) {
+    return fail_at(t, bad_value("thickness", "none: the medium's layers have theirs"), index);
+  }
+  for (size_t i = 0; good && i < 3 * layers; i++) {
     const core_medium *from = &measured->channel[i];
-    const wire_medium medium = {from->sigma_a_per_mm, from->sigma_s_per_mm, from->g, from->eta,
-                                t->thickness_mm};
-    good = begin_medium(t, 1, index) && add_layer(t, &medium);
+    const wire_medium layer = {from->sigma_a_per_mm, from->sigma_s_per_mm, from->g, from->eta,
+                               layers > 1 ? from->thickness_mm : t->thickness_mm};
+    good = (i % layers > 0 || begin_medium(t, layers, index)) && add_layer(t, &layer);
   }
   return good;
 }

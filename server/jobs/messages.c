@@ -108,23 +108,35 @@ static uint8_t *put_list(uint8_t *at, size_t count) {
 }
 
 static enum job_outcome start_media(struct job *job, const struct job_request *request) {
-  return start_list(job, request, core_measured_media_count, WIRE_BYTES_measured_medium);
+  size_t layers = 0;
+  for (size_t i = 0; i < core_measured_media_count; i++) {
+    layers += core_measured_media[i].layer_count;
+  }
+  return start_list(job, request, layers, WIRE_BYTES_measured_medium);
 }
 
 static enum job_outcome put_media(struct job *job, uint8_t *at) {
   (void)job;
-  at = put_list(at, core_measured_media_count);
+  uint8_t *entry_at = at + WIRE_BYTES_list_reply;
+  size_t layers = 0;
   for (size_t i = 0; i < core_measured_media_count; i++) {
     const core_measured_medium *medium = &core_measured_media[i];
-    wire_measured_medium entry = {.g = medium->channel[0].g, .eta = medium->channel[0].eta};
-    WIRE_SET_TEXT(entry.name, medium->name);
-    for (int channel = 0; channel < 3; channel++) {
-      entry.sigma_a[channel] = medium->channel[channel].sigma_a_per_mm;
-      entry.sigma_s[channel] = medium->channel[channel].sigma_s_per_mm;
+    for (size_t layer = 0; layer < medium->layer_count; layer++, layers++) {
+      wire_measured_medium entry;
+      WIRE_SET_TEXT(entry.name, medium->name);
+      for (size_t channel = 0; channel < 3; channel++) {
+        const core_medium *from = &medium->channel[channel * medium->layer_count + layer];
+        entry.sigma_a[channel] = from->sigma_a_per_mm;
+        entry.sigma_s[channel] = from->sigma_s_per_mm;
+        entry.g[channel] = from->g;
+        entry.eta[channel] = from->eta;
+        entry.thickness[channel] = from->thickness_mm;
+      }
+      wire_put_measured_medium(entry_at, &entry);
+      entry_at += WIRE_BYTES_measured_medium;
     }
-    wire_put_measured_medium(at, &entry);
-    at += WIRE_BYTES_measured_medium;
   }
+  put_list(at, layers);
   return JOB_DONE;
 }
 

@@ -347,7 +347,9 @@ UNIT_TEST(ordinary_media_are_never_refused) {
   static const double etas[] = {1, 1.3, 1.5, 2}, ratios[] = {1e-4, 1e-2, 1, 10};
   for (size_t m = 0; core_models[m].name != NULL; m++) {
     const double ratio = ratios[m % 4];
-    const core_medium media[] = {core_measured_media[m % core_measured_media_count].channel[m % 3],
+    const core_measured_medium *measured = &core_measured_media[m % core_measured_media_count];
+    const size_t layers = measured->layer_count; /* of these, the half space below */
+    const core_medium media[] = {measured->channel[(m % 3 + 1) * layers - 1],
                                  {ratio / (1 + ratio), 1 / (1 + ratio), 0, etas[m / 4 % 4]}};
     for (size_t i = 0; i < 2; i++) {
       core_profile table;

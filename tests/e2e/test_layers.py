@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import csv
+
 import numpy as np
 import pytest
-from dipole import Client, Medium, Points, Refused, Stack
+from command_line import dipole
+from dipole import ArgumentError, Client, Medium, Points, Refused, Stack
 from test_http import post
 
 HALF_SPACE = (0.5, 1.0, 0.0, 1.3)
@@ -46,6 +49,40 @@ def test_every_message_has_the_values_of_a_stack(daemon):
         assert reply["channels"][0]["R"] == cut.R[0].tolist()
         assert reply["channels"][0]["layers"] == layers
         assert client.statistics()["cache_builds"] == builds
+
+
+def test_named_layers_are_a_medium_everywhere(daemon, tmp_path):
+    """By Python, HTTP and the command line, by name and by the column of `dipole media`."""
+    one = daemon("--http", "127.0.0.1:0")
+    with Client(one.url(), timeout_s=200) as client:
+        skin = client.media()["skin-dark"]
+        assert [len(stack) for stack in skin] == [2, 2, 2] and skin[0][0].thickness == 0.06
+        options = {"wanted": "R", "evaluator": "f64", "tolerance": 0.1}
+        named, given = client.eval("transport", "skin-dark", R_MM, **options), [*skin]
+        assert (named.R == client.eval("transport", given, R_MM, **options).R).all()
+        with pytest.raises(ArgumentError, match="layers"):
+            client.values("transport", "skin-dark", R_MM)
+    asked = {"model": "transport", "medium": "skin-dark", "r": R_MM, "evaluator": "f64", "wanted": "R"}
+    reply = post(one, "/v1/eval", tolerance=0.1, **asked).json
+    assert [channel["R"] for channel in reply["channels"]] == named.R.tolist()
+    assert post(one, "/v1/eval", thickness=1.0, **asked).json["field"] == "thickness"
+
+    def lines(*arguments: str, status: int = 0, stdin: str = "") -> list[dict[str, str]]:
+        made = dipole(*arguments, "--connect", one.url(), "--format", "csv", status=status, stdin=stdin)
+        return list(csv.DictReader(made.stdout.splitlines()))
+
+    choice = ("--model", "transport", "--evaluator", "f64", "--tolerance", "0.1", "--wanted", "R", "--r", "0.5,1,2")
+    rows = lines("eval", "--medium", "skin-dark", *choice)
+    listed = [row for row in lines("media") if row["medium"] == "skin-dark"]
+    text = "medium,channel,layers\n" + "".join(f'skin-dark,{row["channel"]},\n' for row in listed)
+    text += "".join(f',,"{row["layers"]}"\n' for row in listed) + ',,"1,2"\n'
+    points = lines("points", *choice, status=3, stdin=text)
+    assert points.pop()["status"].startswith("layers: '1,2': allowed")
+    values = [float(row["R"]) for row in points]
+    assert values == [*named.R.reshape(-1)] * 2 == [float(row["R"]) for row in rows] * 2
+    for wrong in (["--g", "0.9"], ["--medium", "skin-dark,skin1"]):
+        assert lines("eval", "--medium", "skin-dark", *choice, *wrong, status=2) == []
+    assert "half spaces" in dipole("bake", "kernel", "--medium", "skin-dark", status=2).stderr
 
 
 def test_a_slab_that_is_cut_lets_the_same_light_through(daemon):

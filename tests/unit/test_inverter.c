@@ -97,8 +97,12 @@ UNIT_TEST(listed_albedos_come_back) {
 /* Inverting the albedo and the mean free path of a medium gives its coefficients. */
 UNIT_TEST(coefficients_come_back) {
   for (size_t i = 0; i < core_measured_media_count; i++) {
-    for (int c = 0; c < 3; c++) {
-      const core_medium *medium = &core_measured_media[i].channel[c];
+    for (size_t c = 0; c < 3; c++) { /* of layers, the half space below */
+      const size_t layers = core_measured_media[i].layer_count;
+      const core_medium *measured = &core_measured_media[i].channel[c * layers + layers - 1];
+      const core_medium similar = {measured->sigma_a_per_mm,
+                                   measured->sigma_s_per_mm * (1 - measured->g), 0, measured->eta, 0};
+      const core_medium *medium = &similar;
       const double path_mm = 1 / (medium->sigma_a_per_mm + medium->sigma_s_per_mm);
       const double albedo = albedo_of(CORE_MODEL_BETTER, CORE_MOMENTS_EXACT, medium);
       const inversion found =

@@ -63,6 +63,7 @@ static void assert_measured(const char *name, const double sigma_s[3], const dou
   const core_measured_medium *medium = core_measured_medium_by_name(name);
   assert_non_null(medium);
   assert_string_equal(medium->name, name);
+  assert_int_equal(medium->layer_count, 1);
   for (size_t i = 0; i < 3; i++) {
     assert_true(medium->channel[i].sigma_s_per_mm == sigma_s[i]);
     assert_true(medium->channel[i].sigma_a_per_mm == sigma_a[i]);
@@ -92,9 +93,45 @@ UNIT_TEST(measured_media_are_the_published_ones) {
       {"wholemilk", {2.55, 3.21, 3.77}, {0.0011, 0.0024, 0.014}},
   };
   const size_t count = sizeof published / sizeof published[0];
-  assert_int_equal(core_measured_media_count, count);
+  assert_int_equal(core_measured_media_count, count + 3); /* and three of skin */
   for (size_t i = 0; i < count; i++) {
     assert_measured(published[i].name, published[i].sigma_s, published[i].sigma_a);
+  }
+}
+
+/* Jacques 2013: sigma_a by Eq. 8, 12 and Table 3, sigma_s' by Table 1, with Prahl's haemoglobin. */
+UNIT_TEST(skin_is_made_of_published_values) {
+  static const struct {
+    const char *name;
+    double melanosomes, haemoglobin_uM, oxygen;
+  } skins[] = {{"skin-light", 0.0087, 7.9, 0.985},
+               {"skin-medium", 0.0115, 9.6, 0.992},
+               {"skin-dark", 0.0165, 2.7, 0.993}};
+  static const double waves_nm[] = {610, 550, 460};
+  static const double haemoglobin[][2] = {/* with oxygen and without, 1/mm per uM */
+                                          {0.0003468, 0.002174},
+                                          {0.009905, 0.0123},
+                                          {0.01024, 0.005385}};
+  for (size_t i = 0; i < 3 * 3; i++) {
+    const size_t c = i % 3;
+    const core_measured_medium *skin = core_measured_medium_by_name(skins[i / 3].name);
+    assert_non_null(skin);
+    const core_medium *layers = &skin->channel[c * skin->layer_count];
+    const double share = skins[i / 3].oxygen, wave = waves_nm[c] / 500;
+    const double bloodless = 0.0244 + 8.53 * exp(-(waves_nm[c] - 154) / 66.2);
+    const double blood = share * haemoglobin[c][0] + (1 - share) * haemoglobin[c][1];
+    const double g = 0.62 + 0.00029 * waves_nm[c];
+    const core_medium expected[] = {
+        {skins[i / 3].melanosomes * 51.9 * pow(wave, -3) + bloodless,
+         6.87 * pow(wave, -1.161) / (1 - g), g, 1.4, 0.06},
+        {skins[i / 3].haemoglobin_uM * blood + bloodless, 4.53 * pow(wave, -1.292) / (1 - g), g, 1.4, 0}};
+    assert_int_equal(skin->layer_count, 2);
+    for (size_t layer = 0; layer < 2; layer++) {
+      assert_true(fabs(layers[layer].sigma_a_per_mm / expected[layer].sigma_a_per_mm - 1) < 0.005);
+      assert_true(fabs(layers[layer].sigma_s_per_mm / expected[layer].sigma_s_per_mm - 1) < 0.001);
+      assert_true(fabs(layers[layer].g - g) < 0.0006 && layers[layer].eta == 1.4);
+      assert_true(layers[layer].thickness_mm == expected[layer].thickness_mm);
+    }
   }
 }
 
@@ -103,7 +140,8 @@ UNIT_TEST(measured_media_are_valid_and_found_by_name_only) {
     const core_measured_medium *medium = &core_measured_media[i];
     assert_ptr_equal(core_measured_medium_by_name(medium->name), medium);
     for (size_t channel = 0; channel < 3; channel++) {
-      unit_assert_fault(core_medium_check(&medium->channel[channel]), NULL, 0);
+      const core_medium *layers = &medium->channel[channel * medium->layer_count];
+      unit_assert_fault(core_layers_check(layers, medium->layer_count), NULL, 0);
     }
   }
   assert_null(core_measured_medium_by_name(""));

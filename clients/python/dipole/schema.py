@@ -34,7 +34,8 @@ eval_reply: u32 part, u32 part_count, u64 first, u64 count, u16 model, u16 evalu
     u16 wanted, u32 channel_count, u32 notes
 quantity_error: f64 numerical_error, f64 numerical_error_per_mm, f64 model_error
 list_reply: u32 count, u32 zero
-measured_medium: text name[16], f64 sigma_a[3], f64 sigma_s[3], f64 g, f64 eta
+measured_medium: text name[16], f64 sigma_a[3], f64 sigma_s[3], f64 g[3], f64 eta[3],
+    f64 thickness[3]
 mc_request: u16 spacing, u16 albedo_count, u32 ring_count, f64 radius_start, f64 radius_stop,
     u32 layer_count, u32 zero, u64 seed, u64 photons, f64 error_total, f64 error_rings
 mc_reply: u16 state, u16 side_count, u16 albedo_count, u16 worst_side, u32 ring_count,

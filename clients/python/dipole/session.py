@@ -16,7 +16,7 @@ from .connection import Connection
 from .errors import ArgumentError, ConnectionLost, DipoleError, Refused
 from .exchange import Exchange, Once, Request
 from .opening import Opening
-from .values import Info, MeasuredMedia, Media, Medium
+from .values import Info, MeasuredMedia, Media, Medium, Stack
 
 T = TypeVar("T")
 
@@ -145,13 +145,16 @@ class Session:
                 self.exchange.drop(await self.send(request))
 
     async def media(self) -> MeasuredMedia:
-        """Returns the daemon's measured media."""
+        """Returns the media that the daemon knows by name."""
 
         def read(reply: bytes) -> MeasuredMedia:
-            entries = wire.PAYLOADS["media_reply"].unpack(reply)[1]["media"]
+            layers: dict[str, list[Iterable[Medium]]] = {}
+            for one in wire.PAYLOADS["media_reply"].unpack(reply)[1]["media"]:
+                channels = map(Medium, one.sigma_a, one.sigma_s, one.g, one.eta, one.thickness)
+                layers.setdefault(one.name, []).append(channels)
             return {
-                one.name: tuple(map(Medium, one.sigma_a, one.sigma_s, [one.g] * 3, [one.eta] * 3))
-                for one in entries
+                name: tuple(of[0]) if len(of) == 1 else tuple(map(Stack, *of))
+                for name, of in layers.items()
             }
 
         return await self.call(Request("media", b"", lambda: Once(read)))

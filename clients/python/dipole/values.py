@@ -71,7 +71,7 @@ class Stack(tuple[Medium, ...]):
 
 Media = Union[Medium, Stack, str, Iterable[Union[Sequence[float], Stack]], Array]
 # media by name, each with the channels red, green and blue
-MeasuredMedia = dict[str, tuple[Medium, ...]]
+MeasuredMedia = dict[str, tuple[Union[Medium, Stack], ...]]
 
 
 def refuse_unknown(options: Iterable[str], known: Iterable[str]) -> None:
