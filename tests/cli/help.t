@@ -22,7 +22,7 @@ Commands
   gather   Sum the light that points leave at other positions
   table    Fetch tables of a medium, to be evaluated without a daemon
   mc       Walk photons through a medium (Monte Carlo): R(r) with standard errors
-  media    List the measured media and their coefficients
+  media    List the media with names: their coefficients, or layers
   info     Show a daemon: models, evaluators, instruction set, limits, statistics
   top      Watch a daemon: requests, radii and bytes each second, latencies, queues
   bench    Measure how fast a daemon replies: latency, pipelined requests, throughput
@@ -314,7 +314,7 @@ $ dipole eval --sigma-a 0.1 --sigma-s 1 --wanted colour
 ? 2
 
 $ dipole eval --medium skin
-! dipole eval: --medium: 'skin' is unknown; this daemon has apple, chicken1, chicken2, cream, ketchup, marble, potato, skimmilk, skin1, skin2, spectralon, wholemilk
+! dipole eval: --medium: 'skin' is unknown; this daemon has apple, chicken1, chicken2, cream, ketchup, marble, potato, skimmilk, skin-dark, skin-light, skin-medium, skin1, skin2, spectralon, wholemilk
 ! `dipole eval --help` says more.
 ? 2
 

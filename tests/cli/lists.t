@@ -1,56 +1,65 @@
 ## dipole media, info, table, bench, top and texture: what does not depend on the machine.
 $ dipole media
-medium      channel  sigma_a  sigma_s  g  eta
-                        1/mm     1/mm
-----------  -------  -------  -------  -  ---
-apple       red        0.003     2.29  0  1.3
-            green     0.0034     2.39  0  1.3
-            blue       0.046     1.97  0  1.3
-chicken1    red        0.015     0.15  0  1.3
-            green      0.077     0.21  0  1.3
-            blue        0.19     0.38  0  1.3
-chicken2    red        0.018     0.19  0  1.3
-            green      0.088     0.25  0  1.3
-            blue         0.2     0.32  0  1.3
-cream       red       0.0002     7.38  0  1.3
-            green     0.0028     5.47  0  1.3
-            blue      0.0163     3.15  0  1.3
-ketchup     red        0.061     0.18  0  1.3
-            green       0.97     0.07  0  1.3
-            blue        1.45     0.03  0  1.3
-marble      red       0.0021     2.19  0  1.3
-            green     0.0041     2.62  0  1.3
-            blue      0.0071        3  0  1.3
-potato      red       0.0024     0.68  0  1.3
-            green      0.009      0.7  0  1.3
-            blue        0.12     0.55  0  1.3
-skimmilk    red       0.0014      0.7  0  1.3
-            green     0.0025     1.22  0  1.3
-            blue      0.0142      1.9  0  1.3
-skin1       red        0.032     0.74  0  1.3
-            green       0.17     0.88  0  1.3
-            blue        0.48     1.01  0  1.3
-skin2       red        0.013     1.09  0  1.3
-            green       0.07     1.59  0  1.3
-            blue       0.145     1.79  0  1.3
-spectralon  red            0     11.6  0  1.3
-            green          0     20.4  0  1.3
-            blue           0     14.9  0  1.3
-wholemilk   red       0.0011     2.55  0  1.3
-            green     0.0024     3.21  0  1.3
-            blue       0.014     3.77  0  1.3
+medium       channel  sigma_a  sigma_s  g  eta                                               layers
+                         1/mm     1/mm
+-----------  -------  -------  -------  -  ---  ---------------------------------------------------
+apple        red        0.003     2.29  0  1.3
+             green     0.0034     2.39  0  1.3
+             blue       0.046     1.97  0  1.3
+chicken1     red        0.015     0.15  0  1.3
+             green      0.077     0.21  0  1.3
+             blue        0.19     0.38  0  1.3
+chicken2     red        0.018     0.19  0  1.3
+             green      0.088     0.25  0  1.3
+             blue         0.2     0.32  0  1.3
+cream        red       0.0002     7.38  0  1.3
+             green     0.0028     5.47  0  1.3
+             blue      0.0163     3.15  0  1.3
+ketchup      red        0.061     0.18  0  1.3
+             green       0.97     0.07  0  1.3
+             blue        1.45     0.03  0  1.3
+marble       red       0.0021     2.19  0  1.3
+             green     0.0041     2.62  0  1.3
+             blue      0.0071        3  0  1.3
+potato       red       0.0024     0.68  0  1.3
+             green      0.009      0.7  0  1.3
+             blue        0.12     0.55  0  1.3
+skimmilk     red       0.0014      0.7  0  1.3
+             green     0.0025     1.22  0  1.3
+             blue      0.0142      1.9  0  1.3
+skin-dark    red                                  0.505,26.85,0.797,1.4,0.06 0.0341,17.25,0.797,1.4
+             green                              0.689,27.89,0.7795,1.4,0.06 0.0727,18.16,0.7795,1.4
+             blue                                   1.21,30.69,0.753,1.4,0.06 0.136,20.46,0.753,1.4
+skin-light   red                                  0.282,26.85,0.797,1.4,0.06 0.0361,17.25,0.797,1.4
+             green                               0.385,27.89,0.7795,1.4,0.06 0.124,18.16,0.7795,1.4
+             blue                                  0.688,30.69,0.753,1.4,0.06 0.189,20.46,0.753,1.4
+skin-medium  red                                  0.362,26.85,0.797,1.4,0.06 0.0366,17.25,0.797,1.4
+             green                               0.494,27.89,0.7795,1.4,0.06 0.141,18.16,0.7795,1.4
+             blue                                  0.875,30.69,0.753,1.4,0.06 0.206,20.46,0.753,1.4
+skin1        red        0.032     0.74  0  1.3
+             green       0.17     0.88  0  1.3
+             blue        0.48     1.01  0  1.3
+skin2        red        0.013     1.09  0  1.3
+             green       0.07     1.59  0  1.3
+             blue       0.145     1.79  0  1.3
+spectralon   red            0     11.6  0  1.3
+             green          0     20.4  0  1.3
+             blue           0     14.9  0  1.3
+wholemilk    red       0.0011     2.55  0  1.3
+             green     0.0024     3.21  0  1.3
+             blue       0.014     3.77  0  1.3
 
 $ dipole media --format csv | grep skin1
-skin1,red,0.032,0.74,0,1.3
-skin1,green,0.17,0.88,0,1.3
-skin1,blue,0.48,1.01,0,1.3
+skin1,red,0.032,0.74,0,1.3,
+skin1,green,0.17,0.88,0,1.3,
+skin1,blue,0.48,1.01,0,1.3,
 
 $ dipole media --format json | head -5
 {
   "units": {"sigma_a": "1/mm", "sigma_s": "1/mm"},
   "rows": [
-    {"medium": "apple", "channel": "red", "sigma_a": 3e-3, "sigma_s": 2.29, "g": 0, "eta": 1.3},
-    {"medium": "apple", "channel": "green", "sigma_a": 0.0034, "sigma_s": 2.39, "g": 0, "eta": 1.3},
+    {"medium": "apple", "channel": "red", "sigma_a": 3e-3, "sigma_s": 2.29, "g": 0, "eta": 1.3, "layers": ""},
+    {"medium": "apple", "channel": "green", "sigma_a": 0.0034, "sigma_s": 2.39, "g": 0, "eta": 1.3, "layers": ""},
 
 $ dipole info --format csv | grep '^models,better,\|^parameters\|^limits,max_frame'
 models,better,"d'Eon 2012, Table 2"
@@ -206,7 +215,7 @@ bake	Bake kernels, lengths and tables of a medium for engines, with their errors
 gather	Sum the light that points leave at other positions
 table	Fetch tables of a medium, to be evaluated without a daemon
 mc	Walk photons through a medium (Monte Carlo): R(r) with standard errors
-media	List the measured media and their coefficients
+media	List the media with names: their coefficients, or layers
 info	Show a daemon: models, evaluators, instruction set, limits, statistics
 top	Watch a daemon: requests, radii and bytes each second, latencies, queues
 bench	Measure how fast a daemon replies: latency, pipelined requests, throughput
@@ -228,6 +237,9 @@ $ dipole complete 'dipole eval --wanted R,al'
 R,albedo
 
 $ dipole complete 'dipole eval --medium=skin'
+--medium=skin-dark
+--medium=skin-light
+--medium=skin-medium
 --medium=skin1
 --medium=skin2
 

@@ -142,7 +142,7 @@ $ dipole plot --medium skin1 --mc 1e3 --from 3 --to 2
 ? 2
 
 $ dipole plot --medium skin1, --model better
-! dipole plot: --medium: '' is unknown; this daemon has apple, chicken1, chicken2, cream, ketchup, marble, potato, skimmilk, skin1, skin2, spectralon, wholemilk
+! dipole plot: --medium: '' is unknown; this daemon has apple, chicken1, chicken2, cream, ketchup, marble, potato, skimmilk, skin-dark, skin-light, skin-medium, skin1, skin2, spectralon, wholemilk
 ! `dipole plot --help` says more.
 ? 2
 

@@ -78,7 +78,7 @@ sigma_a,sigma_s,g,eta,f,R_f,status
 0.01,10,0.9,1.4,1,3.516034949555704e-4,ok
 
 $ printf 'sigma_a,sigma_s,g,eta\n0.01,10,0.9,1.4\n' | dipole points --wanted R_f
-! dipole points: standard input: the column f is missing; the header has sigma_a, sigma_s, g, eta; it needs sigma_a, sigma_s, g and eta, or medium and channel; and r unless --r is given; and may have model, moments and parameters
+! dipole points: standard input: the column f is missing; the header has sigma_a, sigma_s, g, eta; it needs sigma_a, sigma_s, g and eta, or medium and channel, or layers; and r unless --r is given; and may have model, moments and parameters
 ? 1
 
 $ printf 'sigma_a,sigma_s,g,eta,f\n0.01,10,0.9,1.4,1\n' | dipole points --f 1
@@ -105,9 +105,9 @@ $ dipole points --r 1 one.csv
 ? 1
 
 $ dipole media --format csv | head -2 | dipole points --model better --r 0.5,1 --wanted R
-medium,channel,sigma_a,sigma_s,g,eta,r,R,status
-apple,red,3e-3,2.29,0,1.3,0.5,0.12148094122340175,ok
-apple,red,3e-3,2.29,0,1.3,1,0.04671749693152233,ok
+medium,channel,sigma_a,sigma_s,g,eta,layers,r,R,status
+apple,red,3e-3,2.29,0,1.3,,0.5,0.12148094122340175,ok
+apple,red,3e-3,2.29,0,1.3,,1,0.04671749693152233,ok
 
 ## Parameters: an option holds where the cell is empty.
 $ printf 'model,sigma_a,sigma_s,g,eta,r,thickness\nmultipole,0.01,1,0,1.4,2,\nmultipole,0.01,1,0,1.4,2,4\n' > slabs.csv
@@ -157,7 +157,7 @@ R,status,sigma_a,sigma_s,g,eta,r
 
 ## Bad files.
 $ printf 'model,sigma_a,R,eta,g\n' | dipole points
-! dipole points: standard input: the column sigma_s is missing; the header has model, sigma_a, R, eta, g; it needs sigma_a, sigma_s, g and eta, or medium and channel; and r unless --r is given; and may have model, moments and parameters
+! dipole points: standard input: the column sigma_s is missing; the header has model, sigma_a, R, eta, g; it needs sigma_a, sigma_s, g and eta, or medium and channel, or layers; and r unless --r is given; and may have model, moments and parameters
 ? 1
 
 $ printf 'sigma_a,sigma_s,g,eta,r,r\n' | dipole points
