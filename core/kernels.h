@@ -57,7 +57,7 @@ typedef void core_varying_check_kernel_f32(const float *shared, size_t n, const 
                                            enum core_varying_argument argument, uint8_t *status,
                                            core_varying_range *range);
 
-/* Does what core_varying_invert_f64() does; `what` is as core_colour, and albedo is not NULL. */
+/* Does what core_varying_invert() does; `what` is as core_colour, and albedo is not NULL. */
 typedef void core_varying_invert_kernel_f64(const double *shared, const double *words,
                                             const core_colour *what, size_t n, const double *colour,
                                             const double *length_mm, double *sigma_a,

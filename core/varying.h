@@ -109,6 +109,8 @@ void core_varying_free(core_varying *varying);
 /* Size in bytes of the memory that a preparation owns, without the structure itself. */
 size_t core_varying_bytes(const core_varying *varying);
 
+/* The arrays below are of double or, with the evaluator f32, of float. */
+
 /* ---- checking and errors --------------------------------------------------------------------- */
 
 /* What the computed values of an array have in common. */
@@ -122,22 +124,11 @@ typedef struct core_varying_range {
 } core_varying_range;
 
 /* Sets status[n] to those of n values with sigma_a[n], sigma_s[n] in 1/mm and r[n] in mm, and
- * *range. */
-void core_varying_check_f64(const core_varying *varying, size_t n, const double *sigma_a,
-                            const double *sigma_s, const double *r, uint8_t *status,
-                            core_varying_range *range);
-void core_varying_check_f32(const core_varying *varying, size_t n, const float *sigma_a,
-                            const float *sigma_s, const float *r, uint8_t *status,
-                            core_varying_range *range);
-
-/* The same for u[n] in place of radii. In the range only the albedos are set, and the radii are 0
+ * *range. drawn: r holds numbers u; in the range only the albedos are then set, and the radii are 0
  * to infinity. */
-void core_varying_check_u_f64(const core_varying *varying, size_t n, const double *sigma_a,
-                              const double *sigma_s, const double *u, uint8_t *status,
-                              core_varying_range *range);
-void core_varying_check_u_f32(const core_varying *varying, size_t n, const float *sigma_a,
-                              const float *sigma_s, const float *u, uint8_t *status,
-                              core_varying_range *range);
+void core_varying_check(const core_varying *varying, bool drawn, size_t n, const void *sigma_a,
+                        const void *sigma_s, const void *r, uint8_t *status,
+                        core_varying_range *range);
 
 /* Extends *range to include *other. */
 void core_varying_range_add(core_varying_range *range, const core_varying_range *other);
@@ -151,21 +142,11 @@ double core_varying_error(const core_varying *varying, unsigned wanted,
 
 /* ---- evaluating ------------------------------------------------------------------------------ */
 
-/* Evaluates R, CDF, PDF, RING (core.h) or ALBEDO, which does not need r, of a preparation of
- * evaluator f64 (asserted) for n values:
- * out[i] of the medium sigma_a[i], sigma_s[i] at r[i] mm. A value whose status is neither OK nor
- * FAR is NaN. */
-void core_varying_eval_f64(const core_varying *varying, enum core_quantity quantity, size_t n,
-                           const double *sigma_a, const double *sigma_s, const double *r,
-                           double *out);
-void core_varying_eval_f32(const core_varying *varying, enum core_quantity quantity, size_t n,
-                           const float *sigma_a, const float *sigma_s, const float *r, float *out);
-
-/* Sets r[i] to the radius in mm at which the cdf of the medium is u[i], 0 to 1. */
-void core_varying_sample_f64(const core_varying *varying, size_t n, const double *sigma_a,
-                             const double *sigma_s, const double *u, double *r);
-void core_varying_sample_f32(const core_varying *varying, size_t n, const float *sigma_a,
-                             const float *sigma_s, const float *u, float *r);
+/* Evaluates R, CDF, PDF, RING (core.h) or ALBEDO, which does not need r, for n values: out[i] of the
+ * medium sigma_a[i], sigma_s[i] at r[i] mm. Or RADIUS: out[i] is the radius in mm at which the cdf of
+ * the medium is r[i], 0 to 1. A value whose status is neither OK nor FAR is NaN. */
+void core_varying_eval(const core_varying *varying, enum core_quantity quantity, size_t n,
+                       const void *sigma_a, const void *sigma_s, const void *r, void *out);
 
 /* The values of core_varying_gradient_f64(), each an array of n numbers, or NULL if not wanted. */
 typedef struct core_gradient {
@@ -183,7 +164,7 @@ void core_varying_gradient_f64(const core_varying *varying, size_t n, const doub
 
 /* ---- from colours to media ------------------------------------------------------------------- */
 
-/* The albedo of a medium from core_varying_invert_f64() or _f32() is off from the colour, per power
+/* The albedo of a medium from core_varying_invert() is off from the colour, per power
  * that entered, by less than this, absolute, for eta up to 3. (For eta of 10 it is 1e-3.) */
 #define CORE_COLOUR_ERROR 1e-5
 
@@ -209,11 +190,8 @@ core_fault core_colour_check(const core_varying *varying, const core_colour *wha
  * and lengths length_mm[n]. albedo[n] is set to sigma_s / (sigma_a + sigma_s), which a random walk
  * needs; it may be NULL. A colour that no medium has, or a length that leads out of the domain,
  * gets its status, and its results are NaN. */
-void core_varying_invert_f64(const core_varying *varying, const core_colour *what, size_t n,
-                             const double *colour, const double *length_mm, double *sigma_a,
-                             double *sigma_s, double *albedo, uint8_t *status);
-void core_varying_invert_f32(const core_varying *varying, const core_colour *what, size_t n,
-                             const float *colour, const float *length_mm, float *sigma_a,
-                             float *sigma_s, float *albedo, uint8_t *status);
+void core_varying_invert(const core_varying *varying, const core_colour *what, size_t n,
+                         const void *colour, const void *length_mm, void *sigma_a, void *sigma_s,
+                         void *albedo, uint8_t *status);
 
 #endif

@@ -118,37 +118,21 @@ struct slice {
   const void *sigma_s;
 };
 
-static void evaluate_slice(const struct slice *slice, enum core_quantity quantity, const void *r,
+static void evaluate_slice(const struct slice *slice, enum core_quantity quantity, const void *in,
                            void *out) {
-  if (slice->single) {
-    core_varying_eval_f32(slice->varying, quantity, slice->n, slice->sigma_a, slice->sigma_s, r,
-                          out);
-  } else {
-    core_varying_eval_f64(slice->varying, quantity, slice->n, slice->sigma_a, slice->sigma_s, r,
-                          out);
-  }
+  core_varying_eval(slice->varying, quantity, slice->n, slice->sigma_a, slice->sigma_s, in, out);
 }
 
-static void sample(const struct slice *slice, const void *u, void *r) {
-  if (slice->single) {
-    core_varying_sample_f32(slice->varying, slice->n, slice->sigma_a, slice->sigma_s, u, r);
-  } else {
-    core_varying_sample_f64(slice->varying, slice->n, slice->sigma_a, slice->sigma_s, u, r);
-  }
+/* Read and write an element of an array. */
+static double number_at(const struct slice *slice, const void *array, size_t i) {
+  return slice->single ? (double)((const float *)array)[i] : ((const double *)array)[i];
 }
 
-static void check(const struct slice *slice, bool drawn, const void *numbers, uint8_t *status,
-                  core_varying_range *range) {
-  const core_varying *varying = slice->varying;
-  const void *a = slice->sigma_a, *s = slice->sigma_s;
-  if (drawn && slice->single) {
-    core_varying_check_u_f32(varying, slice->n, a, s, numbers, status, range);
-  } else if (drawn) {
-    core_varying_check_u_f64(varying, slice->n, a, s, numbers, status, range);
-  } else if (slice->single) {
-    core_varying_check_f32(varying, slice->n, a, s, numbers, status, range);
+static void set_number(const struct slice *slice, void *array, size_t i, double value) {
+  if (slice->single) {
+    ((float *)array)[i] = (float)value;
   } else {
-    core_varying_check_f64(varying, slice->n, a, s, numbers, status, range);
+    ((double *)array)[i] = value;
   }
 }
 
@@ -167,17 +151,6 @@ static void copy_coefficient(const struct slice *slice, unsigned coefficient, vo
       const double a = ((const double *)slice->sigma_a)[i];
       const double s = ((const double *)slice->sigma_s)[i];
       ((double *)out)[i] = s / (a + s);
-    }
-  }
-}
-
-/* Fills an array of the slice with one number. */
-static void fill_slice(const struct slice *slice, double value, void *out) {
-  for (size_t i = 0; i < slice->n; i++) {
-    if (slice->single) {
-      ((float *)out)[i] = (float)value;
-    } else {
-      ((double *)out)[i] = value;
     }
   }
 }
@@ -215,13 +188,8 @@ static void invert(struct slice *slice, const varying_part *part, const varying_
   void *scattered = array_at(part, CORE_COEFFICIENT_SCATTERED, begin, bytes);
   sigma_a = sigma_a != NULL ? sigma_a : scratch->sigma_a;
   sigma_s = sigma_s != NULL ? sigma_s : scratch->sigma_s;
-  if (slice->single) {
-    core_varying_invert_f32(slice->varying, &request->colour, slice->n, media[0], media[1], sigma_a,
-                            sigma_s, scattered, scratch->status);
-  } else {
-    core_varying_invert_f64(slice->varying, &request->colour, slice->n, media[0], media[1], sigma_a,
-                            sigma_s, scattered, scratch->status);
-  }
+  core_varying_invert(slice->varying, &request->colour, slice->n, media[0], media[1], sigma_a,
+                      sigma_s, scattered, scratch->status);
   slice->sigma_a = sigma_a;
   slice->sigma_s = sigma_s;
 }
@@ -243,14 +211,13 @@ static void take_media(struct slice *slice, const varying_part *part,
   }
 }
 
-/* Sets a value that cannot be computed to NaN in every array. */
-static void clear(const varying_part *part, uint64_t value, bool single) {
+/* Sets a value of the slice that cannot be computed to NaN in every array. */
+static void clear(const varying_part *part, const struct slice *slice, uint64_t begin, size_t i) {
+  const size_t bytes = slice->single ? sizeof(float) : sizeof(double);
   for (uint32_t array = 1; array != 0 && array <= part->layout.arrays; array <<= 1) {
-    void *at = array_at(part, array, value, single ? sizeof(float) : sizeof(double));
-    if (at != NULL && single) {
-      *(float *)at = NAN;
-    } else if (at != NULL) {
-      *(double *)at = (double)NAN;
+    void *at = array_at(part, array, begin, bytes);
+    if (at != NULL) {
+      set_number(slice, at, i, (double)NAN);
     }
   }
 }
@@ -270,7 +237,7 @@ static void put_statuses(const varying_part *part, const varying_request *reques
       status[i] = scratch->status[i];
     }
     if (status[i] != CORE_VALUE_OK && status[i] != CORE_VALUE_FAR) {
-      clear(part, begin + i, slice->single);
+      clear(part, slice, begin, i);
     }
   }
 }
@@ -295,10 +262,8 @@ void varying_part_start(varying_part *part, const varying_request *request, uint
 static void compare(varying_part *part, const struct slice *slice, const struct scratch *scratch,
                     unsigned quantity, const uint8_t *status, const void *values) {
   for (size_t i = 0; i < slice->n; i++) {
-    const double value =
-        slice->single ? (double)((const float *)values)[i] : ((const double *)values)[i];
-    const double truth =
-        slice->single ? (double)((const float *)scratch->truth)[i] : scratch->truth[i];
+    const double value = number_at(slice, values, i);
+    const double truth = number_at(slice, scratch->truth, i);
     if (status[i] == CORE_VALUE_OK && scratch->known[i] == CORE_VALUE_OK && !isinf(truth)) {
       const double apart = fabs(value - truth);
       const double relative = quantity == CORE_QUANTITY_CDF ? apart : apart > 0 ? apart / truth : 0;
@@ -316,17 +281,15 @@ static void compare_all(varying_part *part, const struct slice *slice, const cor
   struct slice truth = *slice;
   core_varying_range unused;
   truth.varying = ruler;
-  check(&truth, drawn, given, scratch->known, &unused);
+  core_varying_check(ruler, drawn, slice->n, slice->sigma_a, slice->sigma_s, given, scratch->known,
+                     &unused);
   for (const core_choice *quantity = core_quantities; quantity->name != NULL; quantity++) {
     const void *values = array_at(part, VARYING_QUANTITY(quantity->id), begin, bytes);
     if (values == NULL) {
       continue;
     }
-    if (quantity->id == CORE_QUANTITY_RADIUS) {
-      sample(&truth, given, scratch->truth);
-    } else {
-      evaluate_slice(&truth, quantity->id, r, scratch->truth);
-    }
+    evaluate_slice(&truth, quantity->id, quantity->id == CORE_QUANTITY_RADIUS ? given : r,
+                   scratch->truth);
     compare(part, slice, scratch, quantity->id, status, values);
   }
 }
@@ -345,19 +308,21 @@ void varying_part_evaluate(varying_part *part, const varying_request *request,
   take_media(&slice, part, request, begin, media, &memory);
   const void *numbers = memory.r;
   if (fixed->numbers == VARYING_NONE) { /* any number u: the albedo has no radius */
-    fill_slice(&slice, 0.5, memory.r);
+    for (size_t i = 0; i < n; i++) {
+      set_number(&slice, memory.r, i, 0.5);
+    }
   } else {
     numbers = (const uint8_t *)request->numbers + offset;
   }
   core_varying_range range;
-  check(&slice, fixed->numbers != VARYING_RADII, numbers,
-        part->payload + part->layout.status_offset + begin, &range);
+  core_varying_check(varying, fixed->numbers != VARYING_RADII, n, slice.sigma_a, slice.sigma_s,
+                     numbers, part->payload + part->layout.status_offset + begin, &range);
   core_varying_range_add(&part->range, &range);
   const void *given = numbers;
   if (drawn && (fixed->wanted & ~(CORE_QUANTITY_ALBEDO | CORE_QUANTITY_MODEL_ERROR)) != 0) {
     void *r = array_at(part, VARYING_QUANTITY(CORE_QUANTITY_RADIUS), begin, bytes);
     r = r != NULL ? r : memory.r;
-    sample(&slice, numbers, r);
+    evaluate_slice(&slice, CORE_QUANTITY_RADIUS, numbers, r);
     numbers = r;
   }
   for (const core_choice *quantity = core_quantities; quantity->name != NULL; quantity++) {

@@ -12,7 +12,6 @@
 
 #include "core/core.h"
 
-
 /* Numbers are copied, and arrays used in place, so this machine must be little-endian like the protocol. */
 _Static_assert(__BYTE_ORDER__ == __ORDER_LITTLE_ENDIAN__, "this machine's arrays need swapping");
 

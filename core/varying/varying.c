@@ -198,24 +198,21 @@ void core_varying_range_add(core_varying_range *range, const core_varying_range 
   range->mfp_most = fmax(range->mfp_most, other->mfp_most);
 }
 
-#define DEFINE_CHECK(type, bits)                                                                   \
-  void core_varying_check_##bits(const core_varying *varying, size_t n, const type *sigma_a,       \
-                                 const type *sigma_s, const type *r, uint8_t *status,              \
-                                 core_varying_range *range) {                                      \
-    varying->check_kernels->bits->varying_check(varying->shared.bits, n, sigma_a, sigma_s, r,      \
-                                                CORE_VARYING_RADII, status, range);                \
-  }                                                                                                \
-  void core_varying_check_u_##bits(const core_varying *varying, size_t n, const type *sigma_a,     \
-                                   const type *sigma_s, const type *u, uint8_t *status,            \
-                                   core_varying_range *range) {                                    \
-    varying->check_kernels->bits->varying_check(varying->shared.bits, n, sigma_a, sigma_s, u,      \
-                                                CORE_VARYING_NUMBERS, status, range);              \
-    range->mfp_least = 0;                                                                          \
-    range->mfp_most = (double)INFINITY;                                                            \
+void core_varying_check(const core_varying *varying, bool drawn, size_t n, const void *sigma_a,
+                        const void *sigma_s, const void *r, uint8_t *status,
+                        core_varying_range *range) {
+  const struct core_kernels *kernels = varying->check_kernels;
+  const enum core_varying_argument what = drawn ? CORE_VARYING_NUMBERS : CORE_VARYING_RADII;
+  if (varying->evaluator == CORE_EVALUATOR_F64) {
+    kernels->f64->varying_check(varying->shared.f64, n, sigma_a, sigma_s, r, what, status, range);
+  } else {
+    kernels->f32->varying_check(varying->shared.f32, n, sigma_a, sigma_s, r, what, status, range);
   }
-
-DEFINE_CHECK(double, f64)
-DEFINE_CHECK(float, f32)
+  if (drawn) {
+    range->mfp_least = 0;
+    range->mfp_most = (double)INFINITY;
+  }
+}
 
 /* ---- errors ---------------------------------------------------------------------------------- */
 
@@ -339,13 +336,6 @@ double core_varying_error(const core_varying *varying, unsigned wanted,
 DEFINE_EVALUATE(double, f64, wide_words)
 DEFINE_EVALUATE(float, f32, words)
 
-void core_varying_eval_f64(const core_varying *varying, enum core_quantity quantity, size_t n,
-                           const double *sigma_a, const double *sigma_s, const double *r,
-                           double *out) {
-  assert(varying->evaluator == CORE_EVALUATOR_F64);
-  evaluate_f64(varying, quantity, n, sigma_a, sigma_s, r, out);
-}
-
 void core_varying_gradient_f64(const core_varying *varying, size_t n, const double *sigma_a,
                                const double *sigma_s, const double *r, const core_gradient *out) {
   assert(varying->evaluator == CORE_EVALUATOR_F64);
@@ -363,11 +353,6 @@ void core_varying_gradient_f64(const core_varying *varying, size_t n, const doub
       }
     }
   }
-}
-
-void core_varying_sample_f64(const core_varying *varying, size_t n, const double *sigma_a,
-                             const double *sigma_s, const double *u, double *r) {
-  core_varying_eval_f64(varying, CORE_QUANTITY_RADIUS, n, sigma_a, sigma_s, u, r);
 }
 
 /* Evaluates in double precision and rounds. A cdf below 1 stays below 1. */
@@ -390,16 +375,14 @@ static void widely(const core_varying *varying, enum core_quantity quantity, siz
   }
 }
 
-void core_varying_eval_f32(const core_varying *varying, enum core_quantity quantity, size_t n,
-                           const float *sigma_a, const float *sigma_s, const float *r, float *out) {
-  assert(varying->evaluator == CORE_EVALUATOR_F32);
-  (varying->kernels->f32->varying_sample != NULL ? evaluate_f32 : widely)(varying, quantity, n,
-                                                                          sigma_a, sigma_s, r, out);
-}
-
-void core_varying_sample_f32(const core_varying *varying, size_t n, const float *sigma_a,
-                             const float *sigma_s, const float *u, float *r) {
-  core_varying_eval_f32(varying, CORE_QUANTITY_RADIUS, n, sigma_a, sigma_s, u, r);
+void core_varying_eval(const core_varying *varying, enum core_quantity quantity, size_t n,
+                       const void *sigma_a, const void *sigma_s, const void *r, void *out) {
+  if (varying->evaluator == CORE_EVALUATOR_F64) {
+    evaluate_f64(varying, quantity, n, sigma_a, sigma_s, r, out);
+  } else {
+    (varying->kernels->f32->varying_sample != NULL ? evaluate_f32 : widely)(
+        varying, quantity, n, sigma_a, sigma_s, r, out);
+  }
 }
 
 /* ---- from colours to media ------------------------------------------------------------------- */
@@ -430,10 +413,9 @@ core_fault core_colour_check(const core_varying *varying, const core_colour *wha
 }
 
 #define DEFINE_INVERT(type, bits, table)                                                           \
-  void core_varying_invert_##bits(const core_varying *varying, const core_colour *what, size_t n,  \
-                                  const type *colour, const type *length_mm, type *sigma_a,        \
-                                  type *sigma_s, type *albedo, uint8_t *status) {                  \
-    assert(core_colour_check(varying, what).field == NULL);                                        \
+  static void invert_##bits(const core_varying *varying, const core_colour *what, size_t n,        \
+                            const type *colour, const type *length_mm, type *sigma_a,              \
+                            type *sigma_s, type *albedo, uint8_t *status) {                        \
     type unwanted[CHUNK];                                                                          \
     for (size_t done = 0; done < n; done += CHUNK) {                                               \
       const size_t count = n - done < CHUNK ? n - done : CHUNK;                                    \
@@ -446,3 +428,14 @@ core_fault core_colour_check(const core_varying *varying, const core_colour *wha
 
 DEFINE_INVERT(double, f64, wide_words)
 DEFINE_INVERT(float, f32, words)
+
+void core_varying_invert(const core_varying *varying, const core_colour *what, size_t n,
+                         const void *colour, const void *length_mm, void *sigma_a, void *sigma_s,
+                         void *albedo, uint8_t *status) {
+  assert(core_colour_check(varying, what).field == NULL);
+  if (varying->evaluator == CORE_EVALUATOR_F64) {
+    invert_f64(varying, what, n, colour, length_mm, sigma_a, sigma_s, albedo, status);
+  } else {
+    invert_f32(varying, what, n, colour, length_mm, sigma_a, sigma_s, albedo, status);
+  }
+}

@@ -73,31 +73,33 @@ static double eval(const core_varying *varying, enum core_quantity quantity,
                    const struct value *value) {
   if (varying->evaluator == CORE_EVALUATOR_F64) {
     double out;
-    core_varying_eval_f64(varying, quantity, 1, &value->sigma_a, &value->sigma_s, &value->r, &out);
+    core_varying_eval(varying, quantity, 1, &value->sigma_a, &value->sigma_s, &value->r, &out);
     return out;
   }
   const float a = (float)value->sigma_a, s = (float)value->sigma_s, r = (float)value->r;
   float out;
-  core_varying_eval_f32(varying, quantity, 1, &a, &s, &r, &out);
+  core_varying_eval(varying, quantity, 1, &a, &s, &r, &out);
   return (double)out;
 }
 
 static double sample(const core_varying *varying, const struct value *value) {
   if (varying->evaluator == CORE_EVALUATOR_F64) {
     double out;
-    core_varying_sample_f64(varying, 1, &value->sigma_a, &value->sigma_s, &value->u, &out);
+    core_varying_eval(varying, CORE_QUANTITY_RADIUS, 1, &value->sigma_a, &value->sigma_s, &value->u,
+                      &out);
     return out;
   }
   const float a = (float)value->sigma_a, s = (float)value->sigma_s, u = (float)value->u;
   float out;
-  core_varying_sample_f32(varying, 1, &a, &s, &u, &out);
+  core_varying_eval(varying, CORE_QUANTITY_RADIUS, 1, &a, &s, &u, &out);
   return (double)out;
 }
 
 static uint8_t check(const core_varying *varying, const struct value *value,
                      core_varying_range *range) {
   uint8_t status;
-  core_varying_check_f64(varying, 1, &value->sigma_a, &value->sigma_s, &value->r, &status, range);
+  core_varying_check(varying, false, 1, &value->sigma_a, &value->sigma_s, &value->r, &status,
+                     range);
   return status;
 }
 
@@ -245,8 +247,8 @@ UNIT_TEST(surfaces_are_right_at_the_least_albedo) {
         for (int q = 0; q < 3; q++) {
           double exact, found;
           core_eval_f64(&profile, of[q], 1, &r, &exact);
-          core_varying_eval_f64(&varying, of[q], 1, &medium.sigma_a_per_mm, &medium.sigma_s_per_mm,
-                                &r, &found);
+          core_varying_eval(&varying, of[q], 1, &medium.sigma_a_per_mm, &medium.sigma_s_per_mm, &r,
+                            &found);
           const double off = fabs(found / exact - 1);
           worst = fmax(worst, off);
           /* the profile is within 3e-6 of the table (tests/accuracy/test_transport_g.c) */
@@ -452,7 +454,7 @@ static void round_trips(unsigned model, double g, double eta, size_t count, uint
     const double colour = rho + (1 - rho) * entered;
     double a, s, albedo;
     uint8_t status;
-    core_varying_invert_f64(&varying, &what, 1, &colour, &length, &a, &s, &albedo, &status);
+    core_varying_invert(&varying, &what, 1, &colour, &length, &a, &s, &albedo, &status);
     assert_int_equal(status, CORE_VALUE_OK);
     const core_medium medium = {a, s, g, eta};
     worst = fmax(worst, fabs(albedo_of(model, &medium) - entered));
@@ -492,7 +494,7 @@ UNIT_TEST(colours_lead_to_media_that_have_them_by_the_solver) {
     solver_total totals;
     double a, s, albedo;
     uint8_t status;
-    core_varying_invert_f64(&varying, &what, 1, &colour, &length, &a, &s, &albedo, &status);
+    core_varying_invert(&varying, &what, 1, &colour, &length, &a, &s, &albedo, &status);
     assert_int_equal(status, CORE_VALUE_OK);
     unit_assert_fault(
         solver_totals(&totals, core_isa_select(NULL), a / (s * (1 - g)), &phase, &eta, 1), NULL, 0);
@@ -561,15 +563,16 @@ static void compare_bits(const core_varying *whole, const core_varying *pieces, 
       for (int piece = 0; piece < 2; piece++) {
         const size_t at = 1 + (piece == 0 ? 0 : cut), n = piece == 0 ? cut : LENGTH_MAX - cut;
         if (i < QUANTITIES) {
-          core_varying_eval_f32(pieces, quantities[i], n, a + at, s + at, r + at, other + at - 1);
+          core_varying_eval(pieces, quantities[i], n, a + at, s + at, r + at, other + at - 1);
         } else {
-          core_varying_sample_f32(pieces, n, a + at, s + at, u + at, other + at - 1);
+          core_varying_eval(pieces, CORE_QUANTITY_RADIUS, n, a + at, s + at, u + at,
+                            other + at - 1);
         }
       }
       if (i < QUANTITIES) {
-        core_varying_eval_f32(whole, quantities[i], LENGTH_MAX, a + 1, s + 1, r + 1, one);
+        core_varying_eval(whole, quantities[i], LENGTH_MAX, a + 1, s + 1, r + 1, one);
       } else {
-        core_varying_sample_f32(whole, LENGTH_MAX, a + 1, s + 1, u + 1, one);
+        core_varying_eval(whole, CORE_QUANTITY_RADIUS, LENGTH_MAX, a + 1, s + 1, u + 1, one);
       }
       assert_memory_equal(one, other, sizeof one);
     }

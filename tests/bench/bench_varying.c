@@ -33,11 +33,11 @@ static void run_one_medium(const void *context) {
 }
 
 static void run_R(const void *context) {
-  core_varying_eval_f32(context, CORE_QUANTITY_R, VALUES, sigma_a, sigma_s, radii, values);
+  core_varying_eval(context, CORE_QUANTITY_R, VALUES, sigma_a, sigma_s, radii, values);
 }
 
 static void run_R_f64(const void *context) {
-  core_varying_eval_f64(context, CORE_QUANTITY_R, VALUES, wide[0], wide[1], wide[2], wide_out[0]);
+  core_varying_eval(context, CORE_QUANTITY_R, VALUES, wide[0], wide[1], wide[2], wide_out[0]);
 }
 
 static void run_gradient(const void *context) {
@@ -46,13 +46,12 @@ static void run_gradient(const void *context) {
 }
 
 static void run_sample(const void *context) {
-  core_varying_sample_f32(context, VALUES, sigma_a, sigma_s, numbers, values);
+  core_varying_eval(context, CORE_QUANTITY_RADIUS, VALUES, sigma_a, sigma_s, numbers, values);
 }
 
 static void run_invert(const void *context) {
   const core_colour what = {CORE_LIGHT_BEAM, false, CORE_LENGTH_FREE_PATH};
-  core_varying_invert_f32(context, &what, VALUES, numbers, lengths, found_a, found_s, values,
-                          status);
+  core_varying_invert(context, &what, VALUES, numbers, lengths, found_a, found_s, values, status);
 }
 
 static core_varying prepare(unsigned model, unsigned evaluator, double g) {

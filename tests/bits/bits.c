@@ -267,22 +267,22 @@ static void print_varying(const core_isa *isa, unsigned model, unsigned evaluato
   for (int i = 0; i < QUANTITIES + 2; i++) {
     if (evaluator == CORE_EVALUATOR_F64) {
       if (i < QUANTITIES) {
-        core_varying_eval_f64(&varying, quantities[i], RADII, in[0], in[1], in[2], out[0]);
+        core_varying_eval(&varying, quantities[i], RADII, in[0], in[1], in[2], out[0]);
       } else if (i == QUANTITIES) {
-        core_varying_sample_f64(&varying, RADII, in[0], in[1], in[3], out[0]);
+        core_varying_eval(&varying, CORE_QUANTITY_RADIUS, RADII, in[0], in[1], in[3], out[0]);
       } else {
-        core_varying_invert_f64(&varying, &what, RADII, in[3], in[2], out[0], out[1], out[2],
-                                status);
+        core_varying_invert(&varying, &what, RADII, in[3], in[2], out[0], out[1], out[2], status);
       }
       sum = checksum(sum, out[0], sizeof out[0]);
     } else {
       if (i < QUANTITIES) {
-        core_varying_eval_f32(&varying, quantities[i], RADII, in32[0], in32[1], in32[2], out32[0]);
+        core_varying_eval(&varying, quantities[i], RADII, in32[0], in32[1], in32[2], out32[0]);
       } else if (i == QUANTITIES) {
-        core_varying_sample_f32(&varying, RADII, in32[0], in32[1], in32[3], out32[0]);
+        core_varying_eval(&varying, CORE_QUANTITY_RADIUS, RADII, in32[0], in32[1], in32[3],
+                          out32[0]);
       } else {
-        core_varying_invert_f32(&varying, &what, RADII, in32[3], in32[2], out32[0], out32[1],
-                                out32[2], status);
+        core_varying_invert(&varying, &what, RADII, in32[3], in32[2], out32[0], out32[1], out32[2],
+                            status);
       }
       sum = checksum(sum, out32[0], sizeof out32[0]);
     }

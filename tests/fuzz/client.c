@@ -208,11 +208,11 @@ static void check_values(const dipole_surface *surface, const core_varying *port
       continue;
     }
     if (bit == CORE_QUANTITY_RADIUS) {
-      core_varying_sample_f32(portable, RADII, query->sigma_a_per_mm, query->sigma_s_per_mm,
-                              query->numbers, expected);
+      core_varying_eval(portable, CORE_QUANTITY_RADIUS, RADII, query->sigma_a_per_mm,
+                        query->sigma_s_per_mm, query->numbers, expected);
     } else {
-      core_varying_eval_f32(portable, bit, RADII, query->sigma_a_per_mm, query->sigma_s_per_mm,
-                            query->radii, expected);
+      core_varying_eval(portable, bit, RADII, query->sigma_a_per_mm, query->sigma_s_per_mm,
+                        query->radii, expected);
     }
     for (int i = 0; i < RADII; i++) { /* beyond the domain of the media both have no value */
       CHECK(found[i] == expected[i] || found[i] != found[i]);
