@@ -181,21 +181,30 @@ size_t solver_exitance_end(const exitance_grid *of, size_t tier) {
   return panel * of->nodes;
 }
 
-bool solver_exitance_make(exitance_series *to, const exitance_grid *of, bool has_tail, double far,
-                          const double complex *values) {
-  *to = (exitance_series){.far = far};
-  if (has_tail && !fit_tail(of, to, values)) {
-    return false;
-  }
+static void set_terms(exitance_series *to, const exitance_grid *of, const double complex *values) {
   for (size_t panel = 0; panel < of->panels; panel++) {
     memcpy(to->term[panel], values + panel * of->nodes, of->nodes * sizeof *values);
     find_terms(of, to->term[panel]);
   }
+}
+
+bool solver_exitance_make(exitance_series *to, const exitance_grid *of, bool has_tail, double far,
+                          const double complex *smooth, const double complex *values) {
+  *to = (exitance_series){.far = far};
+  if (has_tail && !fit_tail(of, to, smooth)) {
+    return false;
+  }
+  set_terms(to, of, smooth);
   const double complex last = of->point[of->panels];
   const double complex before = last - NEARBY * (last - of->point[of->panels - 1]);
-  to->step = series_at(of, to, of->panels - 1, 1) - beyond(to, last, last);
+  const double complex end = beyond(to, last, last);
+  to->step = series_at(of, to, of->panels - 1, 1) - end;
   to->bend = series_at(of, to, of->panels - 1, 1 - NEARBY) - beyond(to, last, before);
   to->bend *= last * fn_inverse(before - last);
+  if (values != smooth) {
+    set_terms(to, of, values);
+    to->step = series_at(of, to, of->panels - 1, 1) - end;
+  }
   return true;
 }
 

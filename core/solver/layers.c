@@ -6,6 +6,7 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "core/solver/layer.h"
 #include "core/solver/solver.h"
 #include "core/solver/stack.h"
 #include "core/solver/ways.h"
@@ -64,7 +65,7 @@ static const struct level levels[LEVELS] = {
 /* At most so many grids are solved, and the next one only if those that are left promise to reach
  * the tolerance of R or of T: each is up to so many times as good as the one before. */
 enum { GRIDS_MOST = 4 };
-#define GAIN 2.0
+#define GAIN 4.0
 
 /* Stated errors over the grids' difference. Grids share their errors more than those of a half
  * space: in a slab of 0.25 mean free paths T was off by 2.8 times the difference, in three layers R
@@ -85,8 +86,10 @@ struct grid {
   double moment[SOLVER_LAYERS_MAX][EXPANSION_MOMENTS_MAX];
   stack_layer layer[SOLVER_LAYERS_MAX];
   ways ways;
-  double unit_mm;                   /* scaled mean free path of the first layer */
-  double rate;                      /* decay rate of light far away along the layers, per unit */
+  double unit_mm; /* scaled mean free path of the first layer */
+  double rate;    /* decay rate of light far away along the layers, per unit */
+  size_t like;    /* layer of which a half space is like the layers near the beam; count: none */
+  double layered_most;              /* the largest k at which R is not that of this half space */
   double share;                     /* Im k over it where the path of wavenumbers starts */
   exitance_grid wavenumbers[SIDES]; /* T has no panels where it is noise */
   exitance_series exitance[SIDES];
@@ -203,31 +206,55 @@ static double rate_of(const struct grid *of, const struct solver_layers *all) {
 
 /* ---- one grid ------------------------------------------------------------------------------ */
 
-/* Scaled mean free paths below which a first layer is thin, and all layers of finite depth; largest
- * k over the scaled extinction that the functions of angle resolve in a layer that light crosses,
- * and in the last one. */
+/* Where no layer is like a half space: scaled mean free paths below which a first layer is thin, and
+ * all layers of finite depth. Largest k over the scaled extinction that the functions of angle resolve
+ * in a layer that light crosses, and in the last one. */
 #define THIN 2.0
 #define THIN_ALL 5.0
 #define RESOLVED 20
 #define RESOLVED_LAST 54
+
+/* A layer of this depth or more, below a film at most, is like a half space: X differs by less than
+ * about e^(-k depth), which is neglected beyond k = LIKE_MOST / depth. Below LIKE_FROM, relative to
+ * its extinction, all functions of angle are as good. The half space's are of the first level that
+ * is for LIKE_FINE times its largest k. */
+#define LIKE_DEPTH 0.5
+#define FILM_DEPTH 0.1
+#define LIKE_FROM 1.0
+#define LIKE_MOST 8.0
+#define LIKE_FINE 0.7
+
 #define NOISE_BELOW 0.35
 #define NOISE_RISES 2
 #define PATH_RATE_LEAST 1e-9
 
-/* Returns the thickness of the first layer, including adjacent layers with the same medium. */
-static double first_depth(const struct grid *of, const struct solver_layers *all) {
-  const solver_layer *first = &all->layer[0];
+/* Returns the optical depth of layer `first`, including adjacent layers with the same medium. */
+static double depth_from(const struct grid *of, const struct solver_layers *all, size_t first) {
+  const solver_layer *top = &all->layer[first];
   double depth = 0;
-  for (size_t i = 0; i < all->count; i++) {
+  for (size_t i = first; i < all->count; i++) {
     const solver_layer *here = &all->layer[i];
-    if (here->sigma_a_per_mm != first->sigma_a_per_mm ||
-        here->sigma_s_per_mm != first->sigma_s_per_mm || here->g != first->g ||
-        here->eta != first->eta) {
+    if (here->sigma_a_per_mm != top->sigma_a_per_mm ||
+        here->sigma_s_per_mm != top->sigma_s_per_mm || here->g != top->g || here->eta != top->eta) {
       break;
     }
-    depth += of->layer[i].thickness;
+    depth += of->layer[i].extinction * of->layer[i].thickness;
   }
   return depth;
+}
+
+/* Returns the first layer that is LIKE_DEPTH deep or more, if those above are a film of the same
+ * index; else the number of layers. */
+static size_t find_like(const struct grid *of, const struct solver_layers *all) {
+  double above = 0;
+  for (size_t i = 0; i < all->count && above < FILM_DEPTH && all->layer[i].eta == all->layer[0].eta;
+       i++) {
+    if (depth_from(of, all, i) >= LIKE_DEPTH) {
+      return i;
+    }
+    above += of->layer[i].extinction * of->layer[i].thickness;
+  }
+  return all->count;
 }
 
 static void place_wavenumbers(struct grid *to, const struct solver_layers *of,
@@ -242,9 +269,21 @@ static void place_wavenumbers(struct grid *to, const struct solver_layers *of,
     }
     depth += s * to->layer[i].thickness;
   }
+  const double most = by->tier[TIERS - 1].k_most;
   /* Where the first layer is thin, or all together are, X reaches its limit later. */
-  const bool thin = first_depth(to, of) < THIN || depth < THIN_ALL;
-  const double last = fmax(4, fmin(resolved, (thin ? 2 : 1) * by->tier[TIERS - 1].k_most));
+  const bool thin = depth_from(to, of, 0) < THIN || depth < THIN_ALL;
+  double last = fmax(4, fmin(resolved, (thin ? 2 : 1) * most)), last_above = last;
+  to->layered_most = last;
+  to->like = find_like(to, of);
+  if (to->like < of->count) {
+    const double s = to->layer[to->like].extinction;
+    last_above = most * s;
+    if (to->like == 0) {
+      to->layered_most = fmin(last, fmax(s, LIKE_MOST * s / depth_from(to, of, 0)));
+      last_above = fmax(last_above, to->layered_most);
+    }
+    last = of->sides > 1 ? fmax(last, last_above) : last_above;
+  }
   double end[TIERS];
   for (size_t tier = 0; tier < TIERS; tier++) {
     end[tier] = tier + 1 == TIERS
@@ -253,7 +292,13 @@ static void place_wavenumbers(struct grid *to, const struct solver_layers *of,
   }
   to->rate = rate_of(to, of);
   to->rate = to->rate < PATH_RATE_LEAST ? 0 : to->rate;
-  solver_exitance_place(to->wavenumbers, NULL, to->rate, by->share, all_least, by->nodes, end);
+  exitance_grid *above = &to->wavenumbers[0], *below = &to->wavenumbers[1];
+  solver_exitance_place(below, NULL, to->rate, by->share, all_least, by->nodes, end);
+  *above = *below;
+  while (creal(above->point[above->panels - 1]) >= last_above) {
+    above->panels--;
+  }
+  above->tier_end[TIERS - 1] = creal(above->point[above->panels]);
 }
 
 /* T falls, where it crosses thick layers as e^(-k depth), and from where on it is smaller than what
@@ -287,45 +332,95 @@ static double arriving_beam(const ways *of) {
          fn_exp(-last->extinction * last->thickness);
 }
 
+/* Near the beam, light in layers is that of a half space, which more functions of angle resolve than
+ * all layers. Sets *like to its exitance, and corrects *value, that of the layers, where they were
+ * solved; else sets it. */
+static bool make_like(const struct grid *of, const stack *expanded, const expansion *fine,
+                      double complex k, bool layered, double complex *like, double complex *value) {
+  const stack_layer *layer = &of->layer[of->like];
+  const double unit = 1 / layer->extinction;
+  layer_exitance found;
+  double complex coarse = 0;
+  const bool ok = solver_layer_halfspace(fine, k * unit, layer->kappa * unit, &found) &&
+                  (!layered || solver_stack_halfspace(expanded, of->like, k, &coarse));
+  *like = found.part[0];
+  *value = *like + (layered ? *value - coarse : 0);
+  return ok;
+}
+
+/* Solves the wavenumbers that belong to one tier. values: [SIDES + 1][nodes], of which the last are
+ * of the half space. */
+static bool solve_tier(const struct grid *of, const struct solver_layers *all, const core_isa *isa,
+                       const struct level *by, size_t tier, double complex *values, size_t nodes,
+                       const atomic_bool *stop) {
+  const exitance_grid *wavenumbers = &of->wavenumbers[1];
+  const double layered_most = all->sides > 1 ? wavenumbers->tier_end[TIERS - 1] : of->layered_most;
+  const struct level *fine_by = &solver_levels[by > levels ? by - levels - 1 : 0];
+  const double last_above = creal(of->wavenumbers[0].point[of->wavenumbers[0].panels]);
+  while (of->like < all->count && fine_by < &solver_levels[SOLVER_LEVELS - 1] &&
+         fine_by->tier[TIERS - 1].k_most * of->layer[of->like].extinction <
+             LIKE_FINE * last_above) {
+    fine_by++;
+  }
+  const expansion_boundaries boundary = {.count = 1, .etas = &of->layer[0].index};
+  stack *expanded = NULL;
+  expansion *fine = NULL;
+  bool ok = true;
+  for (size_t node = tier == 0 ? 0 : solver_exitance_end(wavenumbers, tier - 1);
+       node < solver_exitance_end(wavenumbers, tier) && ok; node++) {
+    const double complex k = solver_exitance_wavenumber(wavenumbers, node);
+    const double panel = creal(wavenumbers->point[node / wavenumbers->nodes]);
+    ok = !solver_stops(stop);
+    if (ok && panel < layered_most) {
+      stack_exitance at;
+      expanded = expanded != NULL ? expanded
+                                  : solver_stack_new(isa, &by->tier[tier].rules, of->layer,
+                                                     all->count, all->eta_below);
+      ok = expanded != NULL && solver_stack_at(expanded, k, &at);
+      for (size_t side = 0; side < SIDES && ok; side++) {
+        values[side * nodes + node] = at.all[side] - at.once[side];
+      }
+      values[SIDES * nodes + node] = values[node];
+    }
+    if (ok && of->like < all->count && panel >= LIKE_FROM * of->layer[of->like].extinction &&
+        node < solver_exitance_end(&of->wavenumbers[0], TIERS - 1)) {
+      fine = fine != NULL ? fine
+                          : solver_expansion_new(isa, &fine_by->tier[tier].rules,
+                                                 &of->layer[of->like].medium, &boundary);
+      ok = fine != NULL && make_like(of, expanded, fine, k, panel < of->layered_most,
+                                     &values[SIDES * nodes + node], &values[node]);
+    }
+  }
+  solver_stack_free(expanded);
+  solver_expansion_free(fine);
+  return ok;
+}
+
 static bool solve_grid(struct grid *to, const struct solver_layers *of, const core_isa *isa,
                        const struct level *by, const atomic_bool *stop) {
   truncate_layers(to, of, by->moment_least, by->moments_most);
   place_wavenumbers(to, of, by);
-  const exitance_grid *wavenumbers = to->wavenumbers;
-  to->wavenumbers[0].isa = isa;
-  const size_t nodes = solver_exitance_end(wavenumbers, TIERS - 1);
-  double complex *values = calloc(SIDES * nodes, sizeof *values);
+  const size_t nodes = solver_exitance_end(&to->wavenumbers[1], TIERS - 1);
+  double complex *values = calloc((SIDES + 1) * nodes, sizeof *values);
   bool ok = values != NULL;
   for (size_t tier = 0; tier < TIERS && ok; tier++) {
-    const size_t begin = tier == 0 ? 0 : solver_exitance_end(wavenumbers, tier - 1);
-    const size_t end = solver_exitance_end(wavenumbers, tier);
-    if (begin >= end) {
-      continue;
-    }
-    stack *expanded =
-        solver_stack_new(isa, &by->tier[tier].rules, to->layer, of->count, of->eta_below);
-    ok = expanded != NULL;
-    for (size_t node = begin; node < end && ok; node++) {
-      stack_exitance at;
-      ok = !solver_stops(stop) &&
-           solver_stack_at(expanded, solver_exitance_wavenumber(wavenumbers, node), &at);
-      for (size_t side = 0; side < SIDES && ok; side++) {
-        values[side * nodes + node] = at.all[side] - at.once[side];
-      }
-    }
-    solver_stack_free(expanded);
+    ok = solve_tier(to, of, isa, by, tier, values, nodes, stop);
   }
   for (size_t side = 0; side < SIDES && ok; side++) {
-    const solver_layer *layer = &of->layer[side == 0 ? 0 : of->count - 1];
+    const bool above = side == 0, alike = above && to->like < of->count;
+    const size_t i = alike ? to->like : above ? 0 : of->count - 1;
+    const solver_layer *layer = &of->layer[i];
     const solver_phase phase = {.g = layer->g};
-    const double arrives = side == 0 ? 1 : arriving_beam(&to->ways);
-    const double far =
-        arrives * solver_far(layer->sigma_s_per_mm * to->unit_mm, &phase,
-                             layer->eta / (side == 0 ? 1 : of->eta_below), 1, side == 1);
+    const double arrives = above ? 1 : arriving_beam(&to->ways);
+    const double far = arrives * solver_far(layer->sigma_s_per_mm * to->unit_mm, &phase,
+                                            layer->eta / (above ? 1 : of->eta_below), 1, !above);
     exitance_grid *grid = &to->wavenumbers[side];
-    const bool cut = side == 1 && cut_noise(grid, wavenumbers, values + nodes);
-    ok =
-        solver_exitance_make(&to->exitance[side], grid, !cut, cut ? 0 : far, values + side * nodes);
+    grid->isa = isa;
+    const exitance_grid all = *grid;
+    const bool cut = !above && cut_noise(grid, &all, values + nodes);
+    const double complex *all_values = values + side * nodes;
+    ok = solver_exitance_make(&to->exitance[side], grid, !cut, cut ? 0 : far,
+                              alike && i == 0 ? values + SIDES * nodes : all_values, all_values);
   }
   free(values);
   return ok;
@@ -469,17 +564,22 @@ core_fault solver_layers_solve(solver_layers **solution, const core_isa *isa,
   solver_layers *made = new_solution(layer, count, eta_below);
   bool ok = made != NULL;
   const size_t first = tolerance < 3e-3 ? 2 : 0;
+  double worst[SIDES] = {INFINITY, INFINITY}, before[SIDES];
   bool hopes = true;
   for (size_t level = first; ok && hopes && level < LEVELS && level < first + GRIDS_MOST; level++) {
     ok = add_grid(made, level, isa, stop);
     if (ok && level > first) {
-      double worst[SIDES] = {0}, most = tolerance;
+      memcpy(before, worst, sizeof before);
       find_errors(made, worst);
+      double most = tolerance;
       for (size_t i = level + 1; i < LEVELS && i < first + GRIDS_MOST; i++) {
         most *= GAIN;
       }
-      hopes =
-          (worst[0] > tolerance && worst[0] < most) || (worst[1] > tolerance && worst[1] < most);
+      hopes = false;
+      for (size_t side = 0; side < made->sides; side++) {
+        hopes |=
+            worst[side] < most && solver_goes_on(level + 1, worst[side], before[side], tolerance);
+      }
     }
   }
   return solved_or_fault(solution, made, ok, stop);

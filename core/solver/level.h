@@ -58,6 +58,12 @@ extern const struct level solver_levels[SOLVER_LEVELS];
 /* Returns the level that a solution for this tolerance starts from. */
 size_t solver_first_level(double tolerance);
 
+/* Returns whether the grid `level` is to be solved, too. worst, before: what the last grid states,
+ * and the one before it; infinite if it states nothing. The finest, which takes three times as long
+ * as the one before, has to promise the tolerance, unless CORE_TOLERANCE_FINEST or less is
+ * requested. */
+bool solver_goes_on(size_t level, double worst, double before, double tolerance);
+
 /* Returns whether *stop is true; stop may be NULL. */
 bool solver_stops(const atomic_bool *stop);
 

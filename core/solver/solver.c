@@ -145,7 +145,8 @@ static bool solve_grid(struct grid *to, const core_isa *isa, const struct level 
     const double far =
         solver_far(to->scaled.single, phase, boundaries->etas[part % boundaries->count],
                    sine_of(boundaries, part), false);
-    ok = solver_exitance_make(&to->exitance[part], &to->wavenumbers, true, far, values[part]);
+    ok = solver_exitance_make(&to->exitance[part], &to->wavenumbers, true, far, values[part],
+                              values[part]);
   }
   free(memory);
   return ok;
@@ -239,10 +240,6 @@ static double find_errors(solver_solution *of, const solver_phase *phase) {
   return worst;
 }
 
-/* The factor by which the next difference of grids falls is at least this much of the last one's. In
- * 12 media it was 0.6 or more of it wherever another grid reached the tolerance. */
-#define GAIN_GROWS 0.6
-
 static core_fault solve(solver_solution **solution, const core_isa *isa, double sigma_a_ratio,
                         const solver_phase *phase, const expansion_boundaries *boundaries,
                         size_t first, size_t last, double tolerance, struct way way) {
@@ -266,12 +263,8 @@ static core_fault solve(solver_solution **solution, const core_isa *isa, double 
                           sine_of(boundaries, i), SINGLE_STEP);
     weigh_single(&made->single[i], phase);
   }
-  double worst = (double)INFINITY, expected = 0;
-  /* The finest grid, which takes three times as long as the one before, has to promise success,
-   * unless it is requested. */
-  for (size_t level = first;
-       level <= last && worst > tolerance && ok &&
-       (level + 1 < SOLVER_LEVELS || expected <= tolerance || tolerance <= CORE_TOLERANCE_FINEST);
+  double worst = (double)INFINITY, before = worst;
+  for (size_t level = first; level <= last && ok && solver_goes_on(level, worst, before, tolerance);
        level++) {
     free(made->grid[1].exitance);
     made->grid[1] = made->grid[0];
@@ -282,9 +275,8 @@ static core_fault solve(solver_solution **solution, const core_isa *isa, double 
     made->floor = solver_levels[level].floor;
     made->level = level;
     if (ok && level > first) {
-      const double before = worst;
+      before = worst;
       worst = fmax(find_errors(made, phase), made->floor[1]);
-      expected = isinf(before) ? 0 : worst * fmin(1, GAIN_GROWS * worst / before);
     }
   }
   if (!ok) {

@@ -170,7 +170,8 @@ static bool expand(stack *to, const expansion_rules *rules, double below) {
   for (size_t i = 0; i < to->count; i++) {
     double edge[EXPANSION_PANELS_MAX - 1];
     const double n = to->layers[i].index, etas[SIDES] = {n, n / below};
-    const bool first = i == 0, last = i + 1 == to->count && isfinite(to->layers[i].thickness);
+    const bool first = n == to->layers[0].index;
+    const bool last = i + 1 == to->count && isfinite(to->layers[i].thickness);
     const expansion_boundaries boundaries = {
         .count = (size_t)first + (size_t)last,
         .etas = first ? etas : etas + 1,
@@ -241,7 +242,7 @@ stack *solver_stack_new(const core_isa *isa, const expansion_rules *rules,
     made->exit[side] = at;
     at += (n + 7) / 8 * 8;
     if (side == 0 || isfinite(layers[i].thickness)) {
-      const size_t boundary = side == 1 && count == 1 ? 1 : 0;
+      const size_t boundary = side == 1 ? made->expanded[i]->boundaries.count - 1 : 0;
       note_boundary(made, side, made->expanded[i], boundary,
                     layers[i].index / (side == 0 ? 1 : below));
     }
@@ -605,5 +606,14 @@ bool solver_stack_at(const stack *of, double complex k, stack_exitance *exitance
   }
   free(memory);
   free(work);
+  return ok;
+}
+
+bool solver_stack_halfspace(const stack *of, size_t i, double complex k, double complex *exitance) {
+  const stack_layer *layer = &of->layers[i];
+  const double unit = 1 / layer->extinction;
+  layer_exitance found[2];
+  const bool ok = solver_layer_halfspace(of->expanded[i], k * unit, layer->kappa * unit, found);
+  *exitance = ok ? found[0].part[0] : 0;
   return ok;
 }

@@ -42,4 +42,8 @@ typedef struct stack_exitance {
  * absorption. Returns false if memory runs out or an equation is singular. */
 bool solver_stack_at(const stack *of, double complex k, stack_exitance *exitance);
 
+/* Sets *exitance to the light that leaves, scattered more than once, a half space of the medium of
+ * layer `i`, whose index is that of the first one. k: not 0. Returns false as above. */
+bool solver_stack_halfspace(const stack *of, size_t i, double complex k, double complex *exitance);
+
 #endif
