@@ -192,7 +192,7 @@ def test_word_of_readiness_and_of_stopping(daemon, manager, unix_listener):
         assert_serves(connection)
     assert not manager.has_word()
     one.terminate()
-    assert manager.hear() == ["STOPPING=1", "STATUS=Answering what is in flight."]
+    assert manager.hear() == ["STOPPING=1", "STATUS=Serving what is in flight."]
     assert one.wait() == 0
     assert not manager.has_word()
 
