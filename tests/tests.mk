@@ -61,7 +61,7 @@ $(BUILD)/prometheus:
 
 .PHONY: check-programs check-nightly check-ci check-structure check-types check-unit check-units-long check-bits \
 	check-bits-aarch64 check-e2e check-again check-packages check-soak check-soak-long check-tls-long \
-	check-balancer-long check-plan plan scaling check-pipeline check-asan check-tsan check-fuzz \
+	check-balancer-long check-blender check-plan plan scaling check-pipeline check-asan check-tsan check-fuzz \
 	check-fuzz-long check-truth check-truth-long check-fits check-varying check-rings rings soak truth \
 	fuzz fuzz-merge bench
 
@@ -69,7 +69,7 @@ check-programs: $(TESTS) $(addprefix $(BUILD)/,dipoled-counting wire-lists soak-
 
 # What .ci/run runs after `make check`, and what else takes long. `make check-PART` runs one of them.
 CI_PARTS := bits-aarch64 soak-long tls-long pipeline packages deb
-NIGHTLY_PARTS := $(CI_PARTS) balancer-long+rings,truth-long plan fits+varying units-long fuzz-long
+NIGHTLY_PARTS := $(CI_PARTS) balancer-long+rings,truth-long plan fits+varying units-long fuzz-long blender
 check-ci: PARTS ?= $(CI_PARTS)
 check-nightly: PARTS ?= $(NIGHTLY_PARTS)
 check-ci: ## packages in a new system, aarch64, long loads
@@ -129,6 +129,10 @@ check-tls-long: all
 BALANCER_S ?= 600
 check-balancer-long: all $(BUILD)/soak-load ## ten minutes behind HAProxy, BALANCER_S seconds if given
 	BALANCER_S=$(BALANCER_S) $(PYTEST) -k all_kinds tests/e2e/test_balancer.py
+
+check-blender: all ## colours in Debian's Blender (500 MB of packages)
+	@sh .ci/install-packages blender
+	$(PYTEST) -s tests/blender
 
 # PLAN='--nodes 2e3 --rate 50' for another farm. `make scaling` puts the tables into
 # server/DEPLOYING.md. check-plan compares the simulation with three daemons.

@@ -10,8 +10,17 @@
 #include "clients/cli/profile.h"
 #include "clients/cli/rows.h"
 
-enum colour_kind { SMOOTH, CLASSICAL, HULST, HULST_G0 };
-enum length_kind { EXTINCTION, CLASSICAL_LENGTH, BURLEY, BLENDER, UNREAL };
+/* From HULST on, a formula gives the albedo; the last two are of walks without an interface. */
+enum colour_kind {
+  SMOOTH,
+  CLASSICAL,
+  HULST,
+  HULST_G0,
+  WRENNINGE,
+  HULST_FREE,
+  WRENNINGE_FREE,
+};
+enum length_kind { EXTINCTION, CLASSICAL_LENGTH, SKIN, BURLEY, BLENDER, UNREAL };
 
 /* How --format native writes a material: a text before it, formats of a parameter with three
  * numbers and of one with a single number, and a text after it. Both texts may name an element of
@@ -41,6 +50,12 @@ static const native_form form_BLENDER = {
     "bsdf.inputs[\"Subsurface Weight\"].default_value = 1\n",
     "bsdf.inputs[\"%s\"].default_value[:3] = (%.9g, %.9g, %.9g)\n",
     "bsdf.inputs[\"%s\"].default_value = %.9g\n", "", NULL};
+static const native_form form_BLENDER_3 = {
+    "# bsdf: the node Principled BSDF\n"
+    "bsdf.subsurface_method = \"RANDOM_WALK\"\n"
+    "bsdf.inputs[\"Subsurface\"].default_value = 1\n",
+    "bsdf.inputs[\"%s\"].default_value[:3] = (%.9g, %.9g, %.9g)\n",
+    "bsdf.inputs[\"%s\"].default_value = %.9g\n", "", NULL};
 static const native_form form_PBRT = {"Material \"subsurface\"", " \"rgb %s\" [ %.9g %.9g %.9g ]",
                                       " \"float %s\" [ %.9g ]", "\n", NULL};
 static const native_form form_UNREAL = {
@@ -64,6 +79,7 @@ typedef struct convention {
 
 #define LENGTH_EXTINCTION EXTINCTION
 #define LENGTH_CLASSICAL CLASSICAL_LENGTH
+#define LENGTH_SKIN SKIN
 #define LENGTH_BURLEY BURLEY
 #define LENGTH_BLENDER BLENDER
 #define LENGTH_UNREAL UNREAL
@@ -117,16 +133,63 @@ typedef struct material {
 #define HULST_A 0.139
 #define HULST_B 1.17
 
-/* Returns 1 - sigma_s / (sigma_a + sigma_s) of a colour by van de Hulst's formula. */
+static double hulst_colour(double absorbed, double g) {
+  const double s = sqrt(absorbed / (1 - g * (1 - absorbed)));
+  return (1 - s) * (1 - HULST_A * s) / (1 + HULST_B * s);
+}
+
 static double hulst_absorbed(double colour, double g) {
   const double u = 1 + HULST_A + HULST_B * colour;
   const double s = (u - sqrt(u * u - 4 * HULST_A * (1 - colour))) / (2 * HULST_A);
   return s * s * (1 - g) / (1 - g * s * s);
 }
 
-static double hulst_colour(double absorbed, double g) {
-  const double s = sqrt(absorbed / (1 - g * (1 - absorbed)));
-  return (1 - s) * (1 - HULST_A * s) / (1 + HULST_B * s);
+/* Wrenninge, Villemin, Hery 2017, the same for index-matched media: a fit whose terms are polynomials
+ * of g. It exceeds 1 near white; renderers take 1 - 1e-6 there. */
+static double wrenninge_absorbed(double colour, double g) {
+  static const double fits[][8] = {{1.8260523782, -1.28451056436, -1.79904629312, 9.19393289202,
+                                    -22.8215585862, 32.0234874259, -23.6264803333, 7.21067002658},
+                                   {0, 31.1491581433, -201.847017512, 841.576016723, -2018.09288505,
+                                    2731.71560286, -1935.41424244, 559.009054474},
+                                   {1.09686102424, -0.394704063468, 1.05258115941, -8.83963712726,
+                                    28.8643230661, -46.8802913581, 38.5402837518, -12.7181042538},
+                                   {0.496310210422, 0.360146581622, -2.15139309747, 17.8896899217,
+                                    -55.2984010333, 82.065982243, -58.5106008578, 15.8478295021},
+                                   {0, 76.7316253952, -594.356773233, 2448.8834203, -5576.68528998,
+                                    7116.60171912, -4763.54467887, 1303.5318055},
+                                   {2.40602999408, -2.51814844609, 9.18494908356, -79.2191708682,
+                                    259.082868209, -403.613804597, 302.85712436, -87.4370473567}};
+  double p[6] = {0};
+  for (int i = 0; i < 6; i++) {
+    for (int k = 7; k >= 0; k--) {
+      p[i] = p[i] * g + fits[i][k];
+    }
+  }
+  const double dark = p[0] * pow(atan((4.98511194385 + 0.127355959438 * exp(p[1])) * colour), p[2]);
+  const double bright =
+      p[3] * pow(atan((4.23190299701 + 0.00310603949088 * exp(p[4])) * colour), p[5]);
+  const double share = pow(colour, 0.25);
+  return fmin(fmax(1 - (1 - share) * dark - share * bright, 1e-6), 1);
+}
+
+/* Returns 1 - sigma_s / (sigma_a + sigma_s) of a colour by the formula of a kind. */
+static double absorbed_by(enum colour_kind kind, double colour, double g) {
+  return kind == WRENNINGE || kind == WRENNINGE_FREE
+             ? wrenninge_absorbed(colour, g)
+             : hulst_absorbed(colour, kind == HULST_G0 ? 0 : g);
+}
+
+/* Inverts absorbed_by(). */
+static double colour_by(enum colour_kind kind, double absorbed, double g) {
+  if (kind != WRENNINGE && kind != WRENNINGE_FREE) {
+    return hulst_colour(absorbed, kind == HULST_G0 ? 0 : g);
+  }
+  double low = 0, high = 1;
+  for (int step = 0; step < 60; step++) {
+    const double middle = (low + high) / 2;
+    *(wrenninge_absorbed(middle, g) > absorbed ? &low : &high) = middle;
+  }
+  return low;
 }
 
 /* Returns the ratio of a convention's length to d of Burley's profile (Christensen, Burley
@@ -167,44 +230,85 @@ static bool find_colours(const material *of, unsigned model, const dipole_medium
   return true;
 }
 
-/* Sets the media of colours and lengths under a model; `given` is the kind of length. g and eta are
- * set already. */
-static bool find_media(material *of, unsigned model, unsigned given, const double *lengths_mm) {
+/* Sets media[count] to those of colours and lengths under a model; `given` is the kind of length. g and
+ * eta are set already. */
+static bool find_media(const material *of, unsigned model, unsigned given, const double *colours,
+                       const double *lengths_mm, dipole_medium *media) {
   for (size_t i = 0; i < of->count; i++) {
     dipole_inversion *found;
     dipole_error error;
     const dipole_invert_query query = {.model = model,
                                        .moments = DIPOLE_EXACT,
                                        .given = given,
-                                       .g = of->media[i].g,
-                                       .eta = of->media[i].eta,
-                                       .albedos = &of->typed[i],
+                                       .g = media[i].g,
+                                       .eta = media[i].eta,
+                                       .albedos = &colours[i],
                                        .lengths_mm = &lengths_mm[i],
                                        .medium_count = 1};
     if (!CLI_RETRY(of->settings, &error, dipole_invert(of->client, &query, &found, &error))) {
       cli_fail_error(&error);
       return false;
     }
-    of->media[i].sigma_a_per_mm = found->sigma_a_per_mm[0];
-    of->media[i].sigma_s_per_mm = found->sigma_s_per_mm[0];
+    media[i].sigma_a_per_mm = found->sigma_a_per_mm[0];
+    media[i].sigma_s_per_mm = found->sigma_s_per_mm[0];
     const bool missing = found->missing_count > 0;
     dipole_inversion_free(found);
     if (missing) {
       cli_fail("--colour: channel %zu: no medium has the colour %g and the length", i + 1,
-               of->typed[i]);
+               colours[i]);
       return false;
     }
   }
   return true;
 }
 
-/* Sets media with an extinction of 1 / mm from colours by van de Hulst's formula. */
-static void apply_hulst(const material *of, bool knows_g, const double *colours,
-                        dipole_medium *media) {
+/* Returns [count] media with an extinction of 1 / mm, whose albedos are by the formula of a kind. */
+static dipole_medium *media_by(const material *of, enum colour_kind kind, const double *colours) {
+  dipole_medium *media = cli_allocate(of->count, sizeof *media);
   for (size_t i = 0; i < of->count; i++) {
-    const double absorbed = hulst_absorbed(colours[i], knows_g ? of->media[i].g : 0);
-    media[i] = (dipole_medium){absorbed, 1 - absorbed, of->media[i].g, of->media[i].eta};
+    const double absorbed = absorbed_by(kind, colours[i], of->media[i].g);
+    media[i] = (dipole_medium){absorbed, 1 - absorbed, of->media[i].g,
+                               kind >= HULST_FREE ? 1 : of->media[i].eta};
   }
+  return media;
+}
+
+/* Sets shown[count] to what renderers with the formula of a kind show of colours that are typed:
+ * Blender's walk of van de Hulst's formula in a beam, which it refracts, but not on the way out; the
+ * walks of Wrenninge's in diffuse light, of which van de Hulst's formula is right within .002. */
+static bool find_shown(const material *of, enum colour_kind kind, const double *colours,
+                       double *shown) {
+  const dipole_medium *media = media_by(of, kind, colours);
+  for (size_t i = 0; i < of->count && kind == WRENNINGE_FREE; i++) {
+    shown[i] = hulst_colour(media[i].sigma_a_per_mm, media[i].g);
+  }
+  return kind == WRENNINGE_FREE || find_colours(of, CORE_MODEL_TRANSPORT, media, shown);
+}
+
+/* Returns [count] lengths of 1 mm. */
+static double *one_mm(const material *of) {
+  double *lengths_mm = cli_allocate(of->count, sizeof *lengths_mm);
+  for (size_t i = 0; i < of->count; i++) {
+    lengths_mm[i] = 1;
+  }
+  return lengths_mm;
+}
+
+/* Sets ratios[count] to the length of SKIN of media over 1 / (sigma_a + sigma_s). Random Walk (Skin)
+ * takes it for 1 / sqrt(3 sigma_a sigma_t') of a classical dipole of the colour, and sigma_t' / (1 -
+ * g) for the extinction. */
+static bool skin_ratios(const material *of, const double *colours, double *ratios) {
+  dipole_medium *media = cli_allocate(of->count, sizeof *media);
+  memcpy(media, of->media, of->count * sizeof *media);
+  if (!find_media(of, CORE_MODEL_CLASSICAL, DIPOLE_CLASSICAL_DIFFUSE_PATH, colours, one_mm(of),
+                  media)) {
+    return false;
+  }
+  for (size_t i = 0; i < of->count; i++) {
+    const double g = media[i].g;
+    ratios[i] = (media[i].sigma_a_per_mm + media[i].sigma_s_per_mm * (1 - g)) / (1 - g);
+  }
+  return true;
 }
 
 /* Multiplies the coefficients of a medium by a factor, which divides its lengths by it. */
@@ -224,58 +328,81 @@ static bool read_numbers(material *of) {
     const double colour = settings->colour.items[i];
     of->typed[i] = settings->srgb ? cli_srgb_to_linear(colour) : colour;
     lengths_mm[i] = unit_mm * lengths->items[lengths->count == 1 ? 0 : i];
-    of->media[i].g = cli_numbers_pick(&settings->g, i, 0);
-    of->media[i].eta = cli_numbers_pick(&settings->eta, i, 1.5);
   }
-  switch (of->from->colour) {
-  case CLASSICAL:
-    return find_media(of, CORE_MODEL_CLASSICAL, DIPOLE_CLASSICAL_DIFFUSE_PATH, lengths_mm);
-  case SMOOTH:
-    if (of->from->length == EXTINCTION) {
-      return find_media(of, CORE_MODEL_TRANSPORT, DIPOLE_EXTINCTION_PATH, lengths_mm);
-    }
-    break;
-  default:
-    apply_hulst(of, of->from->colour == HULST, of->typed, of->media);
+  const enum colour_kind kind = of->from->colour;
+  if (kind == CLASSICAL) {
+    return find_media(of, CORE_MODEL_CLASSICAL, DIPOLE_CLASSICAL_DIFFUSE_PATH, of->typed,
+                      lengths_mm, of->media);
+  }
+  if (kind >= HULST && kind < HULST_FREE) {
+    of->media = media_by(of, kind, of->typed);
     for (size_t i = 0; i < of->count; i++) {
       scale_medium(&of->media[i], 1 / lengths_mm[i]);
     }
     return true;
   }
-  /* The scale is the ratio of the wanted length d to d of the medium with an extinction of 1 /
-   * mm. */
-  double *one_mm = cli_allocate(of->count, sizeof *one_mm), *r_mm = NULL;
-  for (size_t i = 0; i < of->count; i++) {
-    one_mm[i] = 1;
+  double *ratios = one_mm(of), *r_mm = NULL, *wanted = of->typed;
+  if (kind >= HULST_FREE) {
+    wanted = cli_allocate(of->count, sizeof *wanted);
+    if (!find_shown(of, kind, of->typed, wanted)) {
+      return false;
+    }
   }
-  if (!find_media(of, CORE_MODEL_TRANSPORT, DIPOLE_EXTINCTION_PATH, one_mm) ||
-      !cli_edge_radii(settings, of->client, of->media, of->count, &r_mm, NULL)) {
+  /* The scale is the ratio of the wanted length to that of the medium with an extinction of 1 /
+   * mm. */
+  if (!find_media(of, CORE_MODEL_TRANSPORT, DIPOLE_EXTINCTION_PATH, wanted, ratios, of->media) ||
+      (of->from->length == SKIN && !skin_ratios(of, of->typed, ratios)) ||
+      (of->from->length >= BURLEY &&
+       !cli_edge_radii(of->settings, of->client, of->media, of->count, &r_mm, NULL))) {
     return false;
   }
   for (size_t i = 0; i < of->count; i++) {
-    const double d_mm = lengths_mm[i] / per_burley(of->from->length, of->typed[i]);
-    scale_medium(&of->media[i], cli_edge_burley(r_mm + i * CLI_EDGE_RADII, NULL) / d_mm);
+    const double ratio = of->from->length >= BURLEY
+                             ? cli_edge_burley(r_mm + i * CLI_EDGE_RADII, NULL) *
+                                   per_burley(of->from->length, of->typed[i])
+                             : ratios[i];
+    scale_medium(&of->media[i], ratio / lengths_mm[i]);
   }
   return true;
 }
 
 /* ---- to a convention ------------------------------------------------------------------------- */
 
+/* Needs of->shown. */
 static bool set_colours(material *of) {
   const enum colour_kind kind = of->settings->typed ? HULST : of->to->colour;
-  for (size_t i = 0; i < of->count && kind >= HULST; i++) {
-    const dipole_medium *medium = &of->media[i];
-    of->colours[i] = hulst_colour(absorbed_of(medium), kind == HULST ? medium->g : 0);
+  dipole_medium *media = of->media;
+  if (kind == SMOOTH) {
+    memcpy(of->colours, of->shown, of->count * sizeof *of->colours);
+    return true;
   }
-  return kind >= HULST ||
-         find_colours(of, kind == SMOOTH ? CORE_MODEL_TRANSPORT : CORE_MODEL_CLASSICAL, of->media,
-                      of->colours);
+  if (kind == CLASSICAL) {
+    return find_colours(of, CORE_MODEL_CLASSICAL, media, of->colours);
+  }
+  if (kind == HULST_FREE) { /* media that show these colours without an interface */
+    media = media_by(of, kind, of->shown);
+    if (!find_media(of, CORE_MODEL_TRANSPORT, DIPOLE_EXTINCTION_PATH, of->shown, one_mm(of),
+                    media)) {
+      return false;
+    }
+  }
+  for (size_t i = 0; i < of->count; i++) {
+    const double g = media[i].g;
+    const double absorbed =
+        kind == WRENNINGE_FREE ? hulst_absorbed(of->shown[i], g) : absorbed_of(&media[i]);
+    of->colours[i] = colour_by(kind, absorbed, g);
+  }
+  return true;
 }
 
 static bool set_lengths(material *of) {
   const double unit_mm = of->to->unit_mm > 0 ? of->to->unit_mm : of->unit_mm;
-  double *r_mm = NULL;
-  if (of->to->length >= BURLEY) {
+  const enum length_kind kind = of->to->length;
+  double *ratios = one_mm(of), *r_mm = NULL;
+  if (kind == SKIN && !skin_ratios(of, of->colours, ratios)) {
+    return false;
+  }
+  if (kind >= BURLEY) {
     dipole_medium *of_one_mm = cli_allocate(of->count, sizeof *of_one_mm);
     for (size_t i = 0; i < of->count; i++) {
       const double absorbed = absorbed_of(&of->media[i]);
@@ -289,27 +416,21 @@ static bool set_lengths(material *of) {
     const dipole_medium *medium = &of->media[i];
     const double path_mm = 1 / (medium->sigma_a_per_mm + medium->sigma_s_per_mm);
     const double reduced = medium->sigma_a_per_mm + medium->sigma_s_per_mm * (1 - medium->g);
-    const double length_mm = of->to->length == EXTINCTION ? path_mm
-                             : of->to->length == CLASSICAL_LENGTH
-                                 ? 1 / sqrt(3 * medium->sigma_a_per_mm * reduced)
+    const double length_mm =
+        kind == CLASSICAL_LENGTH ? 1 / sqrt(3 * medium->sigma_a_per_mm * reduced)
+        : kind < BURLEY          ? path_mm * ratios[i]
                                  : path_mm * cli_edge_burley(r_mm + i * CLI_EDGE_RADII, NULL) *
-                                       per_burley(of->to->length, of->colours[i]);
+                              per_burley(kind, of->colours[i]);
     of->lengths[i] = length_mm / unit_mm;
   }
   return true;
 }
 
-/* Sets the colours that light at normal incidence shows of the media, and those of the media that
- * the target would make of the given colours. */
-static bool set_shown(material *of) {
-  bool good = find_colours(of, CORE_MODEL_TRANSPORT, of->media, of->shown);
-  const bool by_formula = of->to != NULL && (of->settings->typed || of->to->colour >= HULST);
-  if (good && by_formula && of->from != NULL) {
-    dipole_medium *media = cli_allocate(of->count, sizeof *media);
-    apply_hulst(of, of->settings->typed || of->to->colour == HULST, of->typed, media);
-    good = find_colours(of, CORE_MODEL_TRANSPORT, media, of->shown_as_given);
-  }
-  return good;
+/* Sets what the target shows of the given colours. */
+static bool set_shown_as_given(material *of) {
+  return of->to == NULL || of->from == NULL || (!of->settings->typed && of->to->colour < HULST) ||
+         find_shown(of, of->settings->typed ? HULST : of->to->colour, of->typed,
+                    of->shown_as_given);
 }
 
 /* ---- writing --------------------------------------------------------------------------------- */
@@ -373,17 +494,21 @@ static void take_names(const convention *of, const char *names[NAMES]) {
   }
 }
 
-/* Writes the parameters in the form in which the target's users enter them. */
-static int write_native(const material *of) {
-  const native_form *form = of->to->form;
-  if (of->count != CLI_COLOURS) {
-    return cli_fail_usage("--format native: give three channels, not %zu", of->count);
-  }
+/* Returns CLI_OK if native forms can say the media: three channels of one g and eta. */
+static int check_native(const material *of) {
+  bool one = true;
   for (size_t i = 1; i < of->count; i++) {
-    if (of->media[i].g != of->media[0].g || of->media[i].eta != of->media[0].eta) {
-      return cli_fail_usage("--format native: one g and eta for all channels");
-    }
+    one = one && of->media[i].g == of->media[0].g && of->media[i].eta == of->media[0].eta;
   }
+  return of->count != CLI_COLOURS
+             ? cli_fail_usage("--format native: give three channels, not %zu", of->count)
+         : !one ? cli_fail_usage("--format native: one g and eta for all channels")
+                : CLI_OK;
+}
+
+/* Writes the parameters in the form in which the target's users enter them. */
+static void write_native(const material *of) {
+  const native_form *form = of->to->form;
   const char *names[NAMES];
   take_names(of->to, names);
   const bool split = names[NAME_FACTOR][0] != '\0';
@@ -393,7 +518,7 @@ static int write_native(const material *of) {
                             of->lengths[2] / factor};
   if (form == &form_GLTF) {
     write_gltf(of, names[NAME_COLOUR], factor, lengths);
-    return CLI_OK;
+    return;
   }
   printf(form->first, form->element);
   write_three(form, names[NAME_COLOUR], of->colours);
@@ -406,7 +531,6 @@ static int write_native(const material *of) {
     }
   }
   printf(form->last, form->element);
-  return CLI_OK;
 }
 
 /* Reports what the source does not state, and what the target cannot express. */
@@ -577,13 +701,25 @@ static int run_convert(const cli_settings *settings, dipole_client *client) {
       (*arrays[k])[i] = NAN;
     }
   }
+  for (size_t i = 0; i < of.count && of.from != NULL; i++) {
+    of.media[i].g = cli_numbers_pick(&settings->g, i, 0);
+    of.media[i].eta = cli_numbers_pick(&settings->eta, i, 1.5);
+  }
+  if (is_native(settings)) {
+    const int status = check_native(&of);
+    if (status != CLI_OK) {
+      return status;
+    }
+  }
   if ((of.from != NULL && !read_numbers(&of)) ||
-      (of.to != NULL && !(set_colours(&of) && set_lengths(&of))) || !set_shown(&of)) {
+      !find_colours(&of, CORE_MODEL_TRANSPORT, of.media, of.shown) ||
+      (of.to != NULL && !(set_colours(&of) && set_lengths(&of))) || !set_shown_as_given(&of)) {
     return CLI_FAILED;
   }
   tell_notes(&of);
   if (is_native(settings)) {
-    return write_native(&of);
+    write_native(&of);
+    return CLI_OK;
   }
   const cli_report output = {.facts = put_facts, .rows = of.count, .put_row = put_channel};
   cli_write(&output, settings->form, &of);

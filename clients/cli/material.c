@@ -149,7 +149,7 @@ bool cli_material_read_gltf(const char *file, cli_material *of) {
   json_object_foreach(all, extension_name, extension) {
     json_object_foreach(extension, name, value) {
       double values[3] = {json_number_value(value)};
-      for (size_t i = 0; i < 3 && json_array_size(value) == 3; i++) {
+      for (size_t i = 0; i < 3 && i < json_array_size(value); i++) {
         values[i] = json_number_value(json_array_get(value, i));
       }
       add_parameter(of, name, json_is_number(value) ? 1 : json_array_size(value), values);
@@ -173,7 +173,7 @@ bool cli_material_read_pbrt(const char *file, cli_material *of) {
     name = strchr(at + 1, ' ');
     at = end + 1;
     const char *value = at + strspn(at, " \n\t");
-    double values[3];
+    double values[3] = {0};
     const bool bracketed = *value == '[';
     const size_t count = bracketed ? read_numbers(value + 1, ']', values) : 1;
     if (name != NULL && (bracketed || strspn(value, "+-.0123456789") > 0)) {

@@ -12,7 +12,7 @@ $(BUILD)/picture: $(OBJ)/clients/c/examples/picture.o $(BUILD)/libdipole.a
 $(BUILD)/picture: LIBS = $(TLS_LIBS)
 PROGRAMS += $(addprefix $(BUILD)/,transport-table apertures picture)
 
-.PHONY: tables reference tradeoff apertures figures picture gather-figure fit-bias colour-errors
+.PHONY: tables reference tradeoff apertures figures picture gather-figure fit-bias colour-errors colour-furnace
 
 # On a machine that does little else: it times what is chosen by cost.
 tradeoff: ## speed against accuracy, in build/tradeoff, and core/costs.def (minutes)
@@ -62,6 +62,13 @@ colour-errors: ## formulas from colours to albedos against transport: core/COLOU
 	@$(MAKE) --no-print-directory -j2 $(BUILD)/dipoled
 	DIPOLED=private:$(BUILD)/dipoled $(PYTHON) core/tools/colours.py $(BUILD)/colour-errors $(FIT)
 	cp $(BUILD)/colour-errors/colours.svg core/tools/
+
+colour-furnace: ## a figure of the colours in Debian's Blender (minutes, 500 MB of packages)
+	@sh .ci/install-packages figures blender
+	@$(MAKE) --no-print-directory -j2 all
+	@mkdir -p $(BUILD)/colour-furnace
+	TESTED_BUILD=$(abspath $(BUILD)) PYTHONPATH=clients/python:tests/e2e $(PYTHON) tests/blender/test_furnace.py $(BUILD)/colour-furnace/furnace.svg
+	cp $(BUILD)/colour-furnace/furnace.svg core/tools/
 
 fit-bias: ## what diffusion models make of readings, beside transport: a table and a figure
 	@sh .ci/install-packages demo figures

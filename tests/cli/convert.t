@@ -23,12 +23,12 @@ channel    colour  length     sigma_a   sigma_s  g  eta  scattered  shows  as gi
 ! dipole convert: materialx cannot say the index, 1.5
 
 $ dipole convert --from openpbr --colour .808 --length 1 --eta 1.35 --to cycles
-from openpbr, to cycles, as in Blender 4, Principled BSDF, Random Walk, note its walk lets light out without refraction: colours come out up to .09 darker
+from openpbr, to cycles, as in Blender 4, Principled BSDF, Random Walk, note its walk lets light out without refraction: colours to type make up for it at normal incidence
 
 channel    colour  length     sigma_a   sigma_s  g   eta  scattered  shows  as given
                                  1/mm      1/mm
 -------  --------  ------  ----------  --------  -  ----  ---------  -----  --------
-      1  0.899244       1  0.00212696  0.997873  0  1.35   0.997873  0.808  0.658903
+      1  0.842151       1  0.00212696  0.997873  0  1.35   0.997873  0.808  0.768233
 ! dipole convert: --from openpbr: renderers that use its example formula need --typed
 
 ## Jensen's table of RenderMan: skin1
@@ -117,7 +117,7 @@ $ dipole convert --from openpbr --colour 1.5 --length 1
 ? 2
 
 $ dipole convert --from openbr --colour .5 --length 1
-! dipole convert: --from: 'openbr' is unknown; there are coefficients, openpbr, materialx, standard-surface, cycles, blender-burley, gltf, gltf-volume-scatter, dspbr, pxr, pbrt, appleseed-glass, unreal, unity
+! dipole convert: --from: 'openbr' is unknown; there are coefficients, openpbr, materialx, standard-surface, cycles, blender-skin, blender-burley, gltf, gltf-volume-scatter, dspbr, pxr, pbrt, appleseed-diffuse, appleseed-glass, unreal, unity
 ! `dipole convert --help` says more.
 ? 2
 
@@ -132,7 +132,6 @@ $ dipole convert --from openpbr --colour .5 --length 1 --unit inch
 ? 2
 
 $ dipole convert --from openpbr --colour .5 --length 1 --to gltf --format native
-! dipole convert: --from openpbr: renderers that use its example formula need --typed
 ! dipole convert: --format native: give three channels, not 1
 ! `dipole convert --help` says more.
 ? 2

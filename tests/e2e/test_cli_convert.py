@@ -40,12 +40,31 @@ def test_a_medium_goes_through_all_conventions(g):
 def test_a_typed_colour_shows_the_wanted_one():
     """Colours to type for an index of 1.5, by van de Hulst's formula (engines with a walk)."""
     wanted = [round(0.1 * i, 1) for i in range(1, 10)]
-    rows = convert("--from", "openpbr", "--colour", ",".join(map(str, wanted)), "--length", "1", "--to", "cycles")
+    rows = convert("--from", "openpbr", "--colour", ",".join(map(str, wanted)), "--length", "1", "--to", "openpbr", "--typed")
     published = [0.270, 0.438, 0.561, 0.657, 0.736, 0.804, 0.862, 0.913, 0.959]
     assert [row["colour"] for row in rows] == pytest.approx(published, abs=6e-4)
     assert [row["shown"] for row in rows] == pytest.approx(wanted, rel=1e-9)
-    typed = convert("--from", "cycles", "--colour", ",".join(repr(row["colour"]) for row in rows), "--length", "1")
+    typed = convert("--from", "materialx", "--eta", "1.5", "--colour", ",".join(repr(row["colour"]) for row in rows), "--length", "1")
     assert [row["shown"] for row in typed] == pytest.approx(wanted, rel=1e-5)
+
+
+def test_wrenninges_formula():
+    """The albedos by wrenninge() of core/tools/colours.py; the furnace of tests/blender confirms them."""
+    for g, wanted in [(0, [0.216056636, 0.759090154, 0.952756523, 0.999227443]),
+                      (0.5, [0.365080768, 0.864973669, 0.976575569, 0.999999]),
+                      (0.9, [0.737237312, 0.968080696, 0.996215679, 0.999999])]:  # fmt: skip
+        given = ["--colour", "0.05,0.3,0.6,0.9", "--length", "1", "--g", str(g)]
+        rows = convert("--from", "appleseed-glass", *given)
+        assert [row["scattered"] for row in rows] == pytest.approx(wanted, abs=2e-9)
+
+
+def test_a_walk_without_an_interface_shows_the_colour():
+    """Blender 4's in a beam: the medium of the typed colours, index 1, has the wanted ones."""
+    given = ["--colour", "0.8,0.5,0.3", "--length", "1", "--g", "0.5"]
+    rows = convert("--from", "openpbr", *given, "--eta", "1.5", "--to", "cycles")
+    typed = ",".join(repr(row["colour"]) for row in rows)
+    free = convert("--from", "materialx", "--colour", typed, *given[2:], "--eta", "1")
+    assert [row["shown"] for row in free] == pytest.approx([0.8, 0.5, 0.3], abs=1e-6)
 
 
 @pytest.mark.parametrize("name", ["openpbr", "materialx", "standard-surface", "gltf", "gltf-volume-scatter", "pbrt"])
@@ -85,6 +104,16 @@ def test_files_of_others(tmp_path):
     assert rows[0]["g"] == 0.2 and rows[0]["eta"] == 1.4
     rows = read("pbrt", PBRT)
     assert [row["shown"] for row in rows] == pytest.approx([0.5, 0.4, 0.3])
+    rows = read("pbrt", PBRT.replace("[1 2 3]", "[2]").replace('"string name"', '"float g" [] "string name"'))
+    assert [1 / (row["sigma_a"] + row["sigma_s"]) for row in rows] == pytest.approx([2, 2, 2])
+    (row,) = read("gltf", GLTF.replace("[0.5, 0.5, 0.5]", "[0.5]").replace("[0.36787944, 0.5, 0.9]", "[0.36787944]"))
+    assert 1 / (row["sigma_a"] + row["sigma_s"]) == pytest.approx(1)
+
+
+def test_native_forms_need_three_channels():
+    for more, says in (["--colour", ".5,.4"], "three channels"), (["--colour", ".5,.4,.3", "--g", "0,.1,.2"], "one g and eta"):
+        given = ["--from", "openpbr", *more, "--length", "1", "--to", "gltf", "--format", "native"]
+        assert says in dipole("convert", *given, status=2).stderr
 
 
 @pytest.mark.parametrize("name", ["openpbr", "gltf", "pbrt"])
