@@ -15,7 +15,7 @@ enum {
   SIDE_MIN = 16,
   SIDE_MAX = 4096,
   SPHERE_MAX = 128,
-  COLUMNS_MAX = 6
+  COLUMNS_MAX = 7
 };
 
 static const cli_option options[] = {
@@ -24,12 +24,14 @@ static const cli_option options[] = {
     CLI_OPTION(
         NUMBERS, range, NULL,
         "of kernel: distance of the last tap, mm, one for all or each channel (default: that "
-        "with the least error)"),
+        "with the least error); of profile: where it ends, mm (default: .995 of the light of each "
+        "channel lies within)"),
     CLI_OPTION(SWITCH, common, NULL,
                "of kernel: one range for all channels, the largest, so that a tap is a float4 of "
                "three weights and an offset"),
     CLI_OPTION(COUNT, count, "6", "of gaussians: how many, 2 to 12"),
-    CLI_OPTION(COUNT, size, "64", "of lut: numbers along each axis; of colour-map: colours"),
+    CLI_OPTION(COUNT, size, "64",
+               "of lut: numbers along each axis; of colour-map: colours; of profile: radii"),
     CLI_OPTION(TEXT, light, "beam",
                "of colour-map and formula: the light of the colours, beam or diffuse"),
     {0},
@@ -49,6 +51,9 @@ typedef struct sheet {
   size_t rows, columns, channels;
   const char *names[COLUMNS_MAX];
   double *values; /* [rows][columns] */
+  /* of a picture: pixels beside each other, and the first column of red, green, blue; for each three
+   * columns from there on all rows */
+  size_t width, pixels_from;
   size_t fact_count;
   fact facts[FACTS_MAX];
 } sheet;
@@ -57,6 +62,7 @@ typedef struct bake {
   const cli_settings *settings;
   dipole_client *client;
   cli_profile profile;
+  dipole_medium media[CLI_COLOURS];
   double *r_mm; /* [channels][CLI_EDGE_RADII] of cli_edge_radii() */
   sheet sheet;
 } bake;
@@ -239,9 +245,6 @@ static int make_gaussians(bake *of) {
                                       "variance_red", "variance_green", "variance_blue"};
   const size_t count = of->settings->count.value;
   double shares[GAUSSIANS_MAX], variances[GAUSSIANS_MAX], errors[CLI_COLOURS] = {0};
-  if (count < GAUSSIANS_MIN || count > GAUSSIANS_MAX) {
-    return cli_fail_usage("--count: %d to %d", GAUSSIANS_MIN, GAUSSIANS_MAX);
-  }
   set_rows(&of->sheet, count, 6, names);
   for (size_t i = 0; i < CLI_COLOURS; i++) {
     const double *r_mm = radii_of(of, i);
@@ -287,6 +290,8 @@ static int make_lut(bake *of) {
   const size_t size = of->settings->size.value;
   double errors[CLI_COLOURS] = {0};
   set_rows(&of->sheet, size * size, 5, names);
+  of->sheet.width = size;
+  of->sheet.pixels_from = 2;
   for (size_t k = 0; k < size; k++) {
     const double curvature = ((double)k + 0.5) / (double)size; /* 1/mm */
     for (size_t i = 0; i < size; i++) {
@@ -319,6 +324,68 @@ static int make_lut(bake *of) {
   }
   add_fact(&of->sheet, "value_error", "largest error half the way between texels, interpolated",
            errors);
+  return CLI_OK;
+}
+
+/* ---- profile --------------------------------------------------------------------------------- */
+
+/* Radii grow with the square, as R falls: a texel has the radius range u^2 at its middle u. */
+static int make_profile(bake *of) {
+  static const char *const names[] = {"r_mm",    "R_red",     "R_green", "R_blue",
+                                      "cdf_red", "cdf_green", "cdf_blue"};
+  static const unsigned quantities[] = {DIPOLE_R, DIPOLE_CDF};
+  const size_t size = of->settings->size.value, fine = 2 * size - 1;
+  double *r_mm = cli_allocate(fine, sizeof *r_mm), errors[2][CLI_COLOURS] = {{0}};
+  double range_mm = cli_numbers_pick(&of->settings->range, 0, 0), beyond[CLI_COLOURS];
+  dipole_result *result;
+  dipole_error error;
+  dipole_query query;
+  for (size_t i = 0; i < CLI_COLOURS && of->settings->range.count == 0; i++) {
+    range_mm = fmax(range_mm, radii_of(of, i)[CLI_EDGE_RADII - CLI_EDGE_RADII / 200]);
+  }
+  for (size_t i = 0; i < fine; i++) {
+    const double u = (double)(i + 1) / (double)(2 * size);
+    r_mm[i] = range_mm * u * u;
+  }
+  dipole_query_init(&query);
+  query.evaluator = DIPOLE_F64;
+  query.wanted = DIPOLE_R | DIPOLE_CDF;
+  query.media = of->media;
+  query.medium_count = CLI_COLOURS;
+  query.radii = r_mm;
+  query.radius_count = fine;
+  if (!CLI_RETRY(of->settings, &error, dipole_eval(of->client, &query, &result, &error))) {
+    cli_fail_error(&error);
+    return CLI_FAILED;
+  }
+  set_rows(&of->sheet, size, 7, names);
+  of->sheet.width = size;
+  of->sheet.pixels_from = 1;
+  for (size_t i = 0; i < size; i++) {
+    of->sheet.values[7 * i] = r_mm[2 * i];
+  }
+  for (size_t c = 0; c < CLI_COLOURS; c++) {
+    for (size_t k = 0; k < 2; k++) {
+      const double *values = dipole_values_f64(result, (uint32_t)c, quantities[k]);
+      for (size_t i = 0; i < size; i++) {
+        of->sheet.values[7 * i + 1 + 3 * k + c] = values[2 * i];
+      }
+      for (size_t i = 1; i < fine; i += 2) {
+        const double left = k == 0 ? r_mm[i - 1] / r_mm[i] : 1,
+                     right = k == 0 ? r_mm[i + 1] / r_mm[i] : 1;
+        const double off = fabs(0.5 * (left * values[i - 1] + right * values[i + 1]) - values[i]);
+        errors[k][c] = fmax(errors[k][c], k == 0 ? off / values[i] : off);
+      }
+      beyond[c] = 1 - values[fine - 1];
+    }
+  }
+  dipole_result_free(result);
+  add_fact(&of->sheet, "R_error",
+           "largest relative error of r R half the way (of the root of r) between "
+           "rows, interpolated",
+           errors[0]);
+  add_fact(&of->sheet, "cdf_error", "largest error of the cdf there", errors[1]);
+  add_fact(&of->sheet, "beyond", "share of the light beyond the last row", beyond);
   return CLI_OK;
 }
 
@@ -553,17 +620,18 @@ static void write_colours(const sheet *of, bool cube) {
   }
 }
 
-/* Writes a table of sphere_at() as a portable float map, whose rows go upward: one for each curvature.
- * It has no room for facts: they go to standard error. */
+/* Writes a picture as a portable float map, whose rows go upward: of lut one for each curvature, of
+ * profile R and then the cdf. It has no room for facts: they go to standard error. */
 static int write_pfm(const sheet *of) {
-  const size_t side = (size_t)lround(sqrt((double)of->rows));
+  const size_t pictures = (of->columns - of->pixels_from) / 3;
   if (isatty(STDOUT_FILENO) == 1) {
     return cli_fail_usage("--format pfm: a terminal cannot show it; write it into a file with >");
   }
-  printf("PF\n%zu %zu\n-1.0\n", side, side);
-  for (size_t i = 0; i < of->rows; i++) {
-    const double *row = of->values + i * of->columns;
-    const float pixel[] = {(float)row[2], (float)row[3], (float)row[4]};
+  printf("PF\n%zu %zu\n-1.0\n", of->width, pictures * of->rows / of->width);
+  for (size_t i = 0; i < pictures * of->rows; i++) {
+    const double *from =
+        of->values + i % of->rows * of->columns + of->pixels_from + 3 * (i / of->rows);
+    const float pixel[] = {(float)from[0], (float)from[1], (float)from[2]};
     fwrite(pixel, sizeof pixel, 1, stdout);
   }
   put_facts(of, stderr, "");
@@ -601,6 +669,7 @@ static const struct kind {
              {"burley", make_burley, true, ",c,csv,json,"},
              {"gaussians", make_gaussians, true, ",c,csv,json,"},
              {"lut", make_lut, true, ",c,csv,json,pfm,"},
+             {"profile", make_profile, true, ",c,csv,json,pfm,"},
              {"colour-map", make_colour_map, false, ",c,csv,json,spi1d,cube,"},
              {"formula", NULL, false, ",c,glsl,hlsl,osl,python,"}};
 
@@ -622,7 +691,8 @@ static bool is_local(const cli_settings *settings) {
 static int check(cli_settings *settings) {
   const struct kind *kind = kind_of(settings);
   if (kind == NULL) {
-    return cli_fail_usage("give a KIND: kernel, burley, gaussians, lut, colour-map or formula");
+    return cli_fail_usage(
+        "give a KIND: kernel, burley, gaussians, lut, profile, colour-map or formula");
   }
   if (settings->format != NULL) {
     const char *found = strstr(kind->formats, settings->format);
@@ -639,13 +709,17 @@ static int check(cli_settings *settings) {
   if (tap_count < TAPS_MIN || tap_count > TAPS_MAX || tap_count % 2 == 0) {
     return cli_fail_usage("--taps: an odd number from %d to %d", TAPS_MIN, TAPS_MAX);
   }
+  if (settings->count.value < GAUSSIANS_MIN || settings->count.value > GAUSSIANS_MAX) {
+    return cli_fail_usage("--count: %d to %d", GAUSSIANS_MIN, GAUSSIANS_MAX);
+  }
   for (size_t i = 0; i < settings->range.count; i++) {
     if (!(settings->range.items[i] > 0 && settings->range.items[i] <= RANGE_MOST_MM)) {
       return cli_fail_usage("--range: more than 0, up to %g mm", RANGE_MOST_MM);
     }
   }
-  if (settings->range.count > 1 && settings->range.count != CLI_COLOURS) {
-    return cli_fail_usage("--range: one for all channels, or one for each of three");
+  if (settings->range.count > 1 &&
+      (settings->range.count != CLI_COLOURS || kind->make == make_profile)) {
+    return cli_fail_usage("--range: one for all channels, or of kernel one for each of three");
   }
   return kind->of_medium ? cli_medium_check(settings) : CLI_OK;
 }
@@ -661,7 +735,7 @@ static int take_media(bake *of) {
   if (count != 1 && count != CLI_COLOURS) {
     return cli_fail_usage("give one channel or three: red, green and blue");
   }
-  dipole_medium media[CLI_COLOURS];
+  dipole_medium *const media = of->media;
   for (size_t i = 0; i < CLI_COLOURS; i++) {
     media[i] = of->profile.media[count == 1 ? 0 : i];
     numbers[0][i] = media[i].sigma_a_per_mm;
@@ -710,6 +784,9 @@ const cli_command cli_command_bake = {
         "gaussians: shares of the light and variances (mm^2) of Gaussians\n"
         "lut: light on a sphere by N.L, -1 to 1, and curvature, 0 to 1 per mm, at the middles of "
         "texels, over that inside (pre-integrated, Penner 2011, but over the whole sphere)\n"
+        "profile: R (1/mm^2 per power that entered) and the light within r over all, by r; pfm has "
+        "two "
+        "rows of texels, R and that, with r = range u^2 for u from 0 to 1\n"
         "colour-map: the single-scattering albedo of colours 0 to 1, for --g, --eta (default: 1.5) "
         "and --light\n"
         "formula: the same as a function of the colour, g (0 to 0.9) and eta (1.3 to 1.6), for c, "
@@ -725,6 +802,7 @@ const cli_command cli_command_bake = {
     .examples = "  dipole bake kernel --medium skin1 --eta 1.4\n"
                 "  dipole bake kernel --medium skin1 --eta 1.4 --common --format hlsl\n"
                 "  dipole bake burley --medium marble --format json\n"
+                "  dipole bake profile --medium skin1 --format csv\n"
                 "  dipole bake colour-map --eta 1.5 --format spi1d\n"
                 "  dipole bake formula --format glsl\n",
 };
