@@ -10,35 +10,18 @@ from __future__ import annotations
 
 import asyncio
 import select
-from collections.abc import AsyncIterator, Callable, Coroutine
-from typing import Any, Concatenate, ParamSpec, TypeVar
+from collections.abc import AsyncIterator, Callable
+from typing import Any, TypeVar
 
-from . import broadcast, calls, evaluation, fitting, gathering, inversion, mc, rings, varying
-from .calls import takes_query
+from . import evaluation
+from .calls import Calls, takes_query
 from .connection import Connection, Tls
 from .errors import ArgumentError, ConnectionLost
 from .opening import Opening
 from .session import Session, Waiting
-from .values import Info, Query, Result, refuse_unknown
+from .values import Info, Query, Result
 
-P = ParamSpec("P")
 T = TypeVar("T")
-
-
-def _method(
-    call: Callable[Concatenate[Session, P], Coroutine[Any, Any, T]]
-) -> Callable[Concatenate[Any, P], Coroutine[Any, Any, T]]:
-    """Returns a method of AsyncClient that awaits a call."""
-    signature = calls.signature_of(call)
-
-    async def method(self: AsyncClient, *arguments: Any, **options: Any) -> T:
-        refuse_unknown(options, signature.parameters)
-        signature.bind(self, *arguments, **options)
-        return await call(self._opened(), *arguments, **options)
-
-    made: Callable[Concatenate[Any, P], Coroutine[Any, Any, T]]
-    made = calls.described(method, call, "AsyncClient")
-    return made
 
 
 class _Waiting(Waiting):
@@ -118,7 +101,7 @@ class _Waiting(Waiting):
             raise ConnectionLost("this client is closed", final=True) from None
 
 
-class AsyncClient:
+class AsyncClient(Calls):
     """A client for asyncio. Entering it in an async with statement, or awaiting open(), connects.
     It then belongs to this event loop: in another one, such as that of a second asyncio.run(), and
     in a forked process, its calls raise ConnectionLost until open() has connected again.
@@ -183,20 +166,13 @@ class AsyncClient:
 
     # ---- calls -----------------------------------------------------------------------------------
 
-    values = _method(broadcast.values)
-    offers = _method(evaluation.offers)
-    table = _method(evaluation.table)
-    surface = _method(evaluation.surface)
-    sample = _method(evaluation.sample)
-    invert = _method(inversion.invert)
-    fit = _method(fitting.fit)
-    varying = _method(varying.varying)
-    gather = _method(gathering.gather)
-    mc = _method(mc.mc)
-    ring_means = _method(rings.ring_means)
-    media = _method(calls.media)
-    statistics = _method(calls.statistics)
-    ping = _method(calls.ping)
+    @staticmethod
+    def _method(call: Callable[..., Any], check: Callable[..., None]) -> Callable[..., Any]:
+        async def method(self: AsyncClient, *arguments: Any, **options: Any) -> Any:
+            check(self, *arguments, **options)
+            return await call(self._opened(), *arguments, **options)
+
+        return method
 
     @takes_query(Query, evaluation.eval)
     async def eval(self, *query: Any, **options: Any) -> Result:

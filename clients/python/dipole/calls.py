@@ -6,14 +6,20 @@ from __future__ import annotations
 
 import inspect
 import time
-from collections.abc import Callable
-from typing import Any, ParamSpec, Protocol, TypeVar, overload
+from collections.abc import Callable, Coroutine
+from typing import TYPE_CHECKING, Any, Concatenate, Generic, ParamSpec, Protocol, TypeVar, overload
 
-from . import values, wire
+from . import broadcast, evaluation, fitting, gathering, inversion, rings, values, wire
+from . import mc as walking
+from . import varying as textures
 from .errors import ArgumentError, ProtocolError
 from .exchange import Once, Request
 from .session import Session
 from .values import MeasuredMedia, Query
+
+if TYPE_CHECKING:
+    from .aio import AsyncClient
+    from .client import Client
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -64,6 +70,17 @@ def signature_of(call: Callable[..., object]) -> inspect.Signature:
     return own.replace(parameters=listed)
 
 
+def checker_of(call: Callable[..., object]) -> Callable[..., None]:
+    """Returns what raises TypeError for arguments that the method of a call does not have."""
+    signature = signature_of(call)
+
+    def check(*arguments: Any, **options: Any) -> None:
+        values.refuse_unknown(options, signature.parameters)
+        signature.bind(*arguments, **options)
+
+    return check
+
+
 def described(method: Callable[..., Any], call: Callable[..., object], owner: str) -> Any:
     """Gives a method of the class `owner` the name, signature and description of a call."""
     method.__name__, method.__qualname__ = call.__name__, f"{owner}.{call.__name__}"
@@ -107,3 +124,46 @@ async def ping(session: Session, payload: bytes = b"") -> float:
     start = time.perf_counter()
     await session.call(Request("ping", payload, lambda: Once(read)))
     return time.perf_counter() - start
+
+
+# ---- the methods that both clients have ----------------------------------------------------------
+
+
+class Call(Generic[P, T]):
+    """A method: that of a Client waits for the result of a call, that of an AsyncClient is a
+    coroutine. Both stand in their classes as functions."""
+
+    def __init__(self, call: Callable[Concatenate[Session, P], Coroutine[Any, Any, T]]):
+        self.call = call
+
+    @overload
+    def __get__(self, client: Client, owner: Any) -> Callable[P, T]: ...
+    @overload
+    def __get__(self, client: AsyncClient, owner: Any) -> Callable[P, Coroutine[Any, Any, T]]: ...
+    def __get__(self, client: Any, owner: Any) -> Any:
+        raise NotImplementedError
+
+
+class Calls:
+    """The methods of Client and AsyncClient, which say by _method() what makes one of a call."""
+
+    values = Call(broadcast.values)
+    offers = Call(evaluation.offers)
+    table = Call(evaluation.table)
+    surface = Call(evaluation.surface)
+    sample = Call(evaluation.sample)
+    invert = Call(inversion.invert)
+    fit = Call(fitting.fit)
+    varying = Call(textures.varying)
+    gather = Call(gathering.gather)
+    mc = Call(walking.mc)
+    ring_means = Call(rings.ring_means)
+    media = Call(media)
+    statistics = Call(statistics)
+    ping = Call(ping)
+
+    def __init_subclass__(cls) -> None:
+        for name, one in vars(Calls).items():
+            if isinstance(one, Call):
+                method = getattr(cls, "_method")(one.call, checker_of(one.call))
+                setattr(cls, name, described(method, one.call, cls.__name__))

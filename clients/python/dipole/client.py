@@ -7,37 +7,19 @@ with dipole.Client() as client:
 
 from __future__ import annotations
 
-from collections.abc import Callable, Coroutine, Iterator
-from typing import Any, Concatenate, ParamSpec, TypeVar
+from collections.abc import Callable, Iterator
+from typing import Any
 
-from . import broadcast, calls, evaluation, fitting, gathering, inversion, mc, rings, varying
-from .calls import takes_query
+from . import evaluation
+from .calls import Calls, takes_query
 from .connection import Frame, Tls
 from .errors import ArgumentError
 from .opening import Opening
 from .session import Session, Waiting, run
-from .values import Info, Query, Result, refuse_unknown
-
-P = ParamSpec("P")
-T = TypeVar("T")
+from .values import Info, Query, Result
 
 
-def _method(
-    call: Callable[Concatenate[Session, P], Coroutine[Any, Any, T]]
-) -> Callable[Concatenate[Any, P], T]:
-    """Returns a method of Client that makes a call and waits for its result."""
-    signature = calls.signature_of(call)
-
-    def method(self: Client, *arguments: Any, **options: Any) -> T:
-        refuse_unknown(options, signature.parameters)
-        signature.bind(self, *arguments, **options)
-        return run(call(self._session, *arguments, **options))
-
-    made: Callable[Concatenate[Any, P], T] = calls.described(method, call, "Client")
-    return made
-
-
-class Client:
+class Client(Calls):
     """A connection to a daemon. The constructor connects, agrees on a protocol version and reads
     the daemon's lists.
 
@@ -102,20 +84,13 @@ class Client:
 
     # ---- calls -----------------------------------------------------------------------------------
 
-    values = _method(broadcast.values)
-    offers = _method(evaluation.offers)
-    table = _method(evaluation.table)
-    surface = _method(evaluation.surface)
-    sample = _method(evaluation.sample)
-    invert = _method(inversion.invert)
-    fit = _method(fitting.fit)
-    varying = _method(varying.varying)
-    gather = _method(gathering.gather)
-    mc = _method(mc.mc)
-    ring_means = _method(rings.ring_means)
-    media = _method(calls.media)
-    statistics = _method(calls.statistics)
-    ping = _method(calls.ping)
+    @staticmethod
+    def _method(call: Callable[..., Any], check: Callable[..., None]) -> Callable[..., Any]:
+        def method(self: Client, *arguments: Any, **options: Any) -> Any:
+            check(self, *arguments, **options)
+            return run(call(self._session, *arguments, **options))
+
+        return method
 
     @takes_query(Query, evaluation.eval)
     def eval(self, *query: Any, **options: Any) -> Result:
