@@ -1,12 +1,14 @@
 /* dipoled: starts the workers and the listeners, and runs until a signal stops it. */
 #include <errno.h>
 #include <signal.h>
+#include <stddef.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 #include <sys/resource.h>
 #include <sys/socket.h>
 #include <sys/stat.h>
+#include <sys/un.h>
 #include <unistd.h>
 
 #include "proto/standard.h"
@@ -16,12 +18,13 @@
 #include "server/modbus/service.h"
 #include "server/net/handshake.h"
 #include "server/net/listener.h"
-#include "server/net/systemd.h"
 #include "server/net/worker.h"
 #include "server/observe/latency.h"
 #include "server/observe/log.h"
 #include "server/observe/metrics.h"
 #include "server/store/cache.h"
+
+enum { PASSED_FIRST = 3, PASSED_MAX = 32 }; /* sockets that a service manager passes */
 
 #define DEFAULT_TCP "tcp:127.0.0.1:4817"
 #define DEFAULT_SOCKET "dipoled.sock"
@@ -36,7 +39,7 @@ struct daemon {
   uv_loop_t loop;
   uv_signal_t signals[STOP_SIGNALS];
   uv_work_t first_work;
-  struct listener listeners[SYSTEMD_SOCKETS_MAX + (2 * OPTIONS_LIST_MAX + 2) * TCP_ADDRESSES_MAX];
+  struct listener listeners[PASSED_MAX + (2 * OPTIONS_LIST_MAX + 2) * TCP_ADDRESSES_MAX];
   size_t listener_count;
   struct metrics *metrics;   /* NULL without --metrics */
   struct http_service *http; /* NULL without --http */
@@ -44,6 +47,41 @@ struct daemon {
   bool ready; /* whether the daemon has started; if not, it stops without another message */
   bool stopping;
 };
+
+/* ---- the service manager: sd_listen_fds(3) and sd_notify(3) ---------------------------------- */
+
+/* Returns how many sockets the manager has passed, from PASSED_FIRST on, or -1 if that is no number up
+ * to PASSED_MAX. */
+static int passed_sockets(void) {
+  const char *process = getenv("LISTEN_PID"), *count = getenv("LISTEN_FDS");
+  char *end;
+  if (process == NULL || count == NULL || strtol(process, NULL, 10) != (long)getpid()) {
+    return 0; /* The sockets were passed to another process, for example the parent. */
+  }
+  const long passed = strtol(count, &end, 10);
+  return *end != '\0' || passed < 0 || passed > PASSED_MAX ? -1 : (int)passed;
+}
+
+/* Notifies the manager, if one waits for that. Ignores failures, because the manager has then ended.
+ * state: lines NAME=VALUE */
+static void tell_manager(const char *state) {
+  struct sockaddr_un manager = {.sun_family = AF_UNIX};
+  const char *path = getenv("NOTIFY_SOCKET");
+  const size_t length = path != NULL ? strlen(path) : 0;
+  if (length == 0 || length > sizeof manager.sun_path) {
+    return;
+  }
+  memcpy(manager.sun_path, path, length);
+  if (path[0] == '@') {
+    manager.sun_path[0] = '\0'; /* an abstract socket */
+  }
+  const int fd = socket(AF_UNIX, SOCK_DGRAM | SOCK_CLOEXEC, 0);
+  if (fd >= 0) {
+    sendto(fd, state, strlen(state), MSG_NOSIGNAL, (const struct sockaddr *)&manager,
+           (socklen_t)(offsetof(struct sockaddr_un, sun_path) + length));
+    close(fd);
+  }
+}
 
 /* ---- stopping -------------------------------------------------------------------------------- */
 
@@ -74,7 +112,7 @@ static void stop_daemon(struct daemon *daemon, int signal_number) {
                                        : "SIGTERM");
   }
   if (daemon->server.options.fd == NULL) {
-    systemd_tell("STOPPING=1\nSTATUS=Serving what is in flight.");
+    tell_manager("STOPPING=1\nSTATUS=Serving what is in flight.");
   }
   for (size_t i = 0; i < daemon->listener_count; i++) {
     listener_close(&daemon->listeners[i]);
@@ -263,11 +301,11 @@ static bool admit_inherited(struct server *server) {
 
 /* Listens at the sockets that a service manager passes. */
 static bool adopt_passed(struct daemon *daemon) {
-  const int count = systemd_sockets();
+  const int count = passed_sockets();
   if (count < 0) {
-    return complain("LISTEN_FDS", "it is no number up to 32 (SYSTEMD_SOCKETS_MAX)");
+    return complain("LISTEN_FDS", "it is no number up to 32");
   }
-  for (int fd = SYSTEMD_FIRST_SOCKET; fd < SYSTEMD_FIRST_SOCKET + count; fd++) {
+  for (int fd = PASSED_FIRST; fd < PASSED_FIRST + count; fd++) {
     if (!listener_adopt(&daemon->listeners[daemon->listener_count], &daemon->server, &daemon->loop,
                         fd)) {
       return false;
@@ -413,7 +451,7 @@ static int run_daemon(struct daemon *daemon) {
     log_line(LOG_LEVEL_INFO, "event=ready workers=%llu isa=%s",
              (unsigned long long)server->options.workers, core_isa_name(server->isa));
     if (server->options.fd == NULL) {
-      systemd_tell("READY=1\nSTATUS=Serving.");
+      tell_manager("READY=1\nSTATUS=Serving.");
     }
   } else {
     stop_daemon(daemon, 0);

@@ -3,14 +3,11 @@
 #include <ctype.h>
 #include <errno.h>
 #include <getopt.h>
-#include <limits.h>
 #include <regex.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 #include <unistd.h>
-
-#include "core/core.h"
 
 enum kind { NUMBER, TEXT, LIST, FLAG };
 
@@ -99,23 +96,9 @@ static bool set_option(struct options *options, const struct description *option
   return false;
 }
 
-/* Returns the option whose name is nearest to a name without what stands before it. */
-static const struct description *nearest_to(const char *name, unsigned *distance) {
-  const struct description *nearest = &descriptions[0];
-  *distance = UINT_MAX;
-  for (int i = 0; i < OPTIONS; i++) {
-    const unsigned apart = core_name_distance(descriptions[i].name, name);
-    if (apart < *distance) {
-      nearest = &descriptions[i];
-      *distance = apart;
-    }
-  }
-  return nearest;
-}
-
 /* ---- environment ----------------------------------------------------------------------------- */
 
-enum { VARIABLE_BYTES = 64, DISTANCE_MOST = 2 }; /* Names that differ by more are not similar. */
+enum { VARIABLE_BYTES = 64 };
 #define VARIABLE_PREFIX "DIPOLED_"
 
 /* Writes the name of an option's environment variable: DIPOLED_ and its field in capitals. */
@@ -159,26 +142,27 @@ static bool is_of_a_service(const char *variable) {
   return matches;
 }
 
+/* Returns whether a variable sets an option, or is DIPOLED_CA, a variable of clients. */
+static bool is_of_an_option(const char *variable) {
+  const size_t length = strcspn(variable, "=");
+  bool is = strncmp(variable, VARIABLE_PREFIX "CA=", length + 1) == 0;
+  for (int i = 0; i < OPTIONS && !is; i++) {
+    char name[VARIABLE_BYTES];
+    name_variable(&descriptions[i], name);
+    is = strlen(name) == length && strncmp(variable, name, length) == 0;
+  }
+  return is;
+}
+
 /* Refuses variables that look like an option but are none, so that none is ignored in silence. */
 static bool check_variables(void) {
   bool good = true;
   for (char **variable = environ; *variable != NULL; variable++) {
-    char name[2 * VARIABLE_BYTES], known[VARIABLE_BYTES];
-    unsigned distance;
-    if (strncmp(*variable, VARIABLE_PREFIX, strlen(VARIABLE_PREFIX)) != 0 ||
-        is_of_a_service(*variable)) {
-      continue;
-    }
-    snprintf(name, sizeof name, "%.*s", (int)strcspn(*variable, "="), *variable);
-    if (strcmp(name, VARIABLE_PREFIX "CA") == 0) { /* DIPOLED_CA is a variable of clients */
-      continue;
-    }
-    name_variable(nearest_to(name + strlen(VARIABLE_PREFIX), &distance), known);
-    if (strcmp(known, name) != 0) {
+    if (strncmp(*variable, VARIABLE_PREFIX, strlen(VARIABLE_PREFIX)) == 0 &&
+        !is_of_a_service(*variable) && !is_of_an_option(*variable)) {
       fprintf(stderr,
-              "dipoled: the environment variable %s is no option; the nearest is %s. "
-              "dipoled --help lists them\n",
-              name, known);
+              "dipoled: the environment variable %.*s is no option; dipoled --help lists them\n",
+              (int)strcspn(*variable, "="), *variable);
       good = false;
     }
   }
@@ -269,18 +253,6 @@ static void print_help(void) {
   printf("  %-25s this text\n  %-25s the version\n", "--help", "--version");
 }
 
-/* Names the option that is nearest to one that getopt has refused. */
-static void name_nearest(const char *given) {
-  char name[VARIABLE_BYTES];
-  unsigned distance;
-  snprintf(name, sizeof name, "%.*s", (int)strcspn(given, "="), given);
-  const struct description *nearest = nearest_to(name + strspn(name, "-"), &distance);
-  if (distance <= DISTANCE_MOST && strcmp(nearest->name, name + strspn(name, "-")) != 0) {
-    fprintf(stderr, "dipoled: the nearest option is --%s\n", nearest->name);
-  }
-  fprintf(stderr, "dipoled --help lists the options\n");
-}
-
 /* ---- command line ---------------------------------------------------------------------------- */
 
 static enum options_outcome read_command_line(int argc, char **argv, struct options *options) {
@@ -303,7 +275,7 @@ static enum options_outcome read_command_line(int argc, char **argv, struct opti
       return OPTIONS_EXIT_OK;
     }
     if (which < 0 || which >= OPTIONS) {
-      name_nearest(argv[optind - 1]);
+      fprintf(stderr, "dipoled --help lists the options\n");
       return OPTIONS_EXIT_USAGE;
     }
     const struct description *option = &descriptions[which];

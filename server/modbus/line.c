@@ -2,7 +2,9 @@
 
 #include <assert.h>
 #include <errno.h>
+#include <linux/serial.h>
 #include <stdio.h>
+#include <stdlib.h>
 #include <string.h>
 #include <sys/ioctl.h>
 #include <unistd.h>
@@ -18,6 +20,175 @@ enum {
   RETRY_MOST_MS = 30000,
   PROBE_MS = 100, /* Adapters return a byte sooner than this, and masters wait longer. */
 };
+
+/* ---- the option ------------------------------------------------------------------------------ */
+
+enum {
+  UNIT_MOST = 247,
+  RTS_DELAY_MOST_MS = 1000,
+  URL_BYTES = 512,
+};
+
+static bool read_number(const char *text, int least, int most, int *value) {
+  *value = atoi(text);
+  return *text != '\0' && strspn(text, "0123456789") == strlen(text) && strlen(text) < 8 &&
+         *value >= least && *value <= most;
+}
+
+/* Each of these reads a part of the option. It returns NULL, or the text of what is wrong. */
+
+static const char *read_path(struct modbus_device *device, const char *text) {
+  if (*text == '\0' || strlen(text) >= sizeof device->path) {
+    return "the form is rtu:DEVICE[,BAUD[,PARITY[,UNIT]]][,rts=high|low][,rts-delay-ms=N]";
+  }
+  memcpy(device->path, text, strlen(text) + 1);
+  return NULL;
+}
+
+static const char *read_baud(struct modbus_device *device, const char *text) {
+  static const int rates[] = {1200,  2400,   4800,   9600,   19200, 38400,
+                              57600, 115200, 230400, 460800, 921600};
+  for (size_t i = 0; i < sizeof rates / sizeof rates[0]; i++) {
+    if (read_number(text, rates[i], rates[i], &device->baud)) {
+      return NULL;
+    }
+  }
+  return "BAUD is 1200, 2400, 4800, ... 115200, 230400, 460800 or 921600";
+}
+
+/* A character has 11 bits unless the option says otherwise: without parity, it has a second stop
+ * bit (MODBUS over Serial Line V1.02, 2.5.1). */
+static const char *read_parity(struct modbus_device *device, const char *text) {
+  const size_t length = strlen(text);
+  device->parity = text[0];
+  device->stop_bits = length == 2 ? text[1] - '0' : text[0] == 'N' ? 2 : 1;
+  return length >= 1 && length <= 2 && strchr("NEO", text[0]) != NULL &&
+                 (device->stop_bits == 1 || device->stop_bits == 2)
+             ? NULL
+             : "PARITY is N, E or O, maybe with the number of stop bits: N1 or E2";
+}
+
+/* Reads a part of the option. Parts without a name come in a fixed order; *place counts them. */
+static const char *read_part(struct modbus_device *device, const char *text, unsigned *place) {
+  int number;
+  if (*place > 0 && strncmp(text, "rts=", 4) == 0) {
+    device->rts = strcmp(text + 4, "high") == 0  ? MODBUS_RTS_HIGH
+                  : strcmp(text + 4, "low") == 0 ? MODBUS_RTS_LOW
+                                                 : MODBUS_RTS_UNUSED;
+    return device->rts != MODBUS_RTS_UNUSED ? NULL
+                                            : "rts is high or low: RTS while the daemon sends";
+  }
+  if (*place > 0 && strncmp(text, "rts-delay-ms=", 13) == 0) {
+    const bool right = read_number(text + 13, 0, RTS_DELAY_MOST_MS, &number);
+    device->rts_delay_ms = (unsigned)number;
+    return right ? NULL : "rts-delay-ms is 0 to 1000";
+  }
+  switch ((*place)++) {
+  case 0:
+    return read_path(device, text);
+  case 1:
+    return read_baud(device, text);
+  case 2:
+    return read_parity(device, text);
+  case 3: {
+    const bool right = read_number(text, 1, UNIT_MOST, &number);
+    device->number = (unsigned)number;
+    return right ? NULL : "UNIT is 1 to 247";
+  }
+  default:
+    return read_path(device, "");
+  }
+}
+
+/* Reads the option. If a part is wrong, prints which one to standard error and returns false. */
+static bool read_url(struct modbus_device *device, const char *url) {
+  char text[URL_BYTES];
+  char *rest = text;
+  const char *wrong = NULL;
+  unsigned place = 0;
+  *device = (struct modbus_device){.baud = 19200, .parity = 'E', .stop_bits = 1, .number = 1};
+  const int length = snprintf(text, sizeof text, "%s", url + strlen("rtu:"));
+  if (length < 0 || (size_t)length >= sizeof text) {
+    wrong = read_path(device, "");
+  }
+  while (wrong == NULL && rest != NULL) {
+    wrong = read_part(device, strsep(&rest, ","), &place);
+  }
+  if (wrong == NULL && device->rts_delay_ms > 0 && device->rts == MODBUS_RTS_UNUSED) {
+    wrong = "rts-delay-ms needs rts=high or rts=low";
+  }
+  if (wrong != NULL) {
+    fprintf(stderr, "dipoled: --modbus %s: %s\n", url, wrong);
+  }
+  return wrong == NULL;
+}
+
+/* ---- the device ------------------------------------------------------------------------------ */
+
+static int port_fd(const struct modbus_device *device) {
+  return modbus_get_socket(device->context);
+}
+
+/* Sets RTS to its level while the daemon sends, or to the other level. fd: of the device, or a copy
+ * of it. Returns 0 or an errno. */
+static int switch_rts(const struct modbus_device *device, int fd, bool sending) {
+  const int rts = TIOCM_RTS;
+  const bool high = sending == (device->rts == MODBUS_RTS_HIGH);
+  return ioctl(fd, high ? TIOCMBIS : TIOCMBIC, &rts) == 0 ? 0 : errno;
+}
+
+/* Decides who sets RTS. Returns 0 or an errno. */
+static int set_direction(struct modbus_device *device) {
+  struct serial_rs485 rs485 = {
+      .flags = SER_RS485_ENABLED |
+               (device->rts == MODBUS_RTS_HIGH ? SER_RS485_RTS_ON_SEND : SER_RS485_RTS_AFTER_SEND),
+      .delay_rts_before_send = device->rts_delay_ms,
+      .delay_rts_after_send = device->rts_delay_ms,
+  };
+  device->rts_by_hand =
+      device->rts != MODBUS_RTS_UNUSED && ioctl(port_fd(device), TIOCSRS485, &rs485) != 0;
+  return device->rts_by_hand ? switch_rts(device, port_fd(device), false) : 0;
+}
+
+/* Closes the device if it is open. */
+static void close_port(struct modbus_device *device) {
+  if (device->context != NULL) {
+    if (device->rts_by_hand) { /* Otherwise RTS would keep other devices from sending. */
+      switch_rts(device, port_fd(device), false);
+    }
+    modbus_close(device->context);
+    modbus_free(device->context);
+    device->context = NULL;
+  }
+}
+
+/* Opens the device, and never blocks; libmodbus sets the terminal up. Returns 0 or an errno. */
+static int open_port(struct modbus_device *device) {
+  device->context =
+      modbus_new_rtu(device->path, device->baud, device->parity, 8, device->stop_bits);
+  if (device->context == NULL) {
+    return errno;
+  }
+  if (modbus_connect(device->context) != 0) {
+    const int error = errno;
+    modbus_free(device->context);
+    device->context = NULL;
+    return error;
+  }
+  const int error = set_direction(device);
+  if (error != 0) {
+    close_port(device);
+  }
+  return error;
+}
+
+/* Returns the time that the line needs for some characters. */
+static uint64_t duration_ns(const struct modbus_device *device, uint64_t characters) {
+  const uint64_t bits = 1 + 8 + (device->parity != 'N') + (uint64_t)device->stop_bits;
+  return characters * bits * 1000000000 / (uint64_t)device->baud;
+}
+
+/* ---- the line -------------------------------------------------------------------------------- */
 
 static void lose_device(struct modbus_line *line, const char *why);
 
@@ -54,7 +225,7 @@ static void write_output(struct modbus_line *line, int fd) {
 }
 
 static void set_rts(const struct modbus_line *line, int fd, bool sending) {
-  if (modbus_device_set_rts(&line->device, fd, sending) != 0) {
+  if (switch_rts(&line->device, fd, sending) != 0) {
     log_peer_line(LOG_LEVEL_ERROR, "event=modbus-rts-failed device=%s reason=%s", line->device.path,
                   strerror(errno));
   }
@@ -69,7 +240,7 @@ static void send_by_hand(uv_work_t *work) {
   set_rts(line, line->sending_fd, true);
   usleep(delay_us);
   write_output(line, line->sending_fd);
-  usleep((useconds_t)(modbus_device_duration_ns(&line->device, count) / 1000) + delay_us);
+  usleep((useconds_t)(duration_ns(&line->device, count) / 1000) + delay_us);
   set_rts(line, line->sending_fd, false);
 }
 
@@ -94,12 +265,11 @@ static void on_sent(uv_work_t *work, int status) {
 /* Sends the output up to `end`. */
 static void send_up_to(struct modbus_line *line, size_t end) {
   const struct modbus_device *device = &line->device;
-  const int fd = modbus_device_fd(device);
+  const int fd = port_fd(device);
   const uint64_t delay_ns = device->rts_by_hand ? device->rts_delay_ms * UINT64_C(1000000) : 0;
   assert(!line->sending && line->output_begin < end);
   line->output_end = end;
-  line->sent_ns =
-      uv_hrtime() + modbus_device_duration_ns(device, end - line->output_begin) + 2 * delay_ns;
+  line->sent_ns = uv_hrtime() + duration_ns(device, end - line->output_begin) + 2 * delay_ns;
   if (!device->rts_by_hand) {
     write_output(line, fd);
     return;
@@ -239,7 +409,7 @@ static void note_arrival(struct modbus_line *line, size_t bytes) {
 static void read_more(struct modbus_line *line) {
   size_t room;
   uint8_t *bytes = modbus_receiver_room(&line->receiver, &room);
-  const ssize_t got = read(modbus_device_fd(&line->device), bytes, room);
+  const ssize_t got = read(port_fd(&line->device), bytes, room);
   if (got > 0) {
     note_arrival(line, (size_t)got);
   } else if (got == 0) {
@@ -253,8 +423,7 @@ static void read_more(struct modbus_line *line) {
  * false if there are none. */
 static bool read_unseen(struct modbus_line *line) {
   int waiting = 0;
-  if (!is_open(line) || ioctl(modbus_device_fd(&line->device), FIONREAD, &waiting) != 0 ||
-      waiting == 0) {
+  if (!is_open(line) || ioctl(port_fd(&line->device), FIONREAD, &waiting) != 0 || waiting == 0) {
     return false;
   }
   read_more(line);
@@ -307,7 +476,7 @@ static void log_open(struct modbus_line *line) {
 
 /* Tries to open the device. Logs why it cannot be opened, unless the last attempt failed alike. */
 static bool open_device(struct modbus_line *line) {
-  const int error = modbus_device_open(&line->device);
+  const int error = open_port(&line->device);
   if (error == 0) {
     log_open(line);
   } else if (error != line->open_error) {
@@ -341,7 +510,7 @@ static void on_handle_closed(uv_handle_t *handle) {
 /* Closes the device after its poll: the loop knows the device by its descriptor until then. */
 static void on_poll_closed(uv_handle_t *handle) {
   struct modbus_line *line = handle->data;
-  modbus_device_close(&line->device);
+  close_port(&line->device);
   line->polling = false;
   note_closed(line);
 }
@@ -354,8 +523,8 @@ static void close_poll(struct modbus_line *line) {
 
 static bool start_polling(struct modbus_line *line) {
   uv_loop_t *loop = worker_loop(line->client.worker);
-  if (uv_poll_init(loop, &line->poll, modbus_device_fd(&line->device)) != 0) {
-    modbus_device_close(&line->device);
+  if (uv_poll_init(loop, &line->poll, port_fd(&line->device)) != 0) {
+    close_port(&line->device);
     return false;
   }
   line->poll.data = line;
@@ -454,10 +623,10 @@ bool modbus_line_open(struct modbus_line *line, struct modbus_units *units, cons
       .units = units,
       .retry_ms = RETRY_FIRST_MS,
   };
-  if (!modbus_device_read_url(&line->device, url)) {
+  if (!read_url(&line->device, url)) {
     return false;
   }
-  const uint64_t silence_ns = modbus_device_duration_ns(&line->device, 7) / 2;
+  const uint64_t silence_ns = duration_ns(&line->device, 7) / 2;
   line->receiver.number = line->device.number;
   line->receiver.silence_ns = silence_ns > SILENCE_LEAST_NS ? silence_ns : SILENCE_LEAST_NS;
   open_device(line);
@@ -465,5 +634,5 @@ bool modbus_line_open(struct modbus_line *line, struct modbus_units *units, cons
 }
 
 void modbus_line_close(struct modbus_line *line) {
-  modbus_device_close(&line->device);
+  close_port(&line->device);
 }

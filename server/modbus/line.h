@@ -12,11 +12,30 @@
 #ifndef DIPOLED_MODBUS_LINE_H
 #define DIPOLED_MODBUS_LINE_H
 
+#include <modbus.h>
 #include <uv.h>
 
-#include "server/modbus/device.h"
 #include "server/modbus/receiver.h"
 #include "server/modbus/reply.h"
+
+enum { MODBUS_DEVICE_PATH_BYTES = 256 };
+
+/* The level of RTS while the daemon sends. */
+enum modbus_rts { MODBUS_RTS_UNUSED, MODBUS_RTS_HIGH, MODBUS_RTS_LOW };
+
+struct modbus_device {
+  char path[MODBUS_DEVICE_PATH_BYTES];
+  int baud;
+  char parity; /* 'N', 'E' or 'O' */
+  int stop_bits;
+  unsigned number; /* number of the unit on this line */
+  enum modbus_rts rts;
+  /* Delay between RTS and the first character, and between the last character and RTS. */
+  unsigned rts_delay_ms;
+
+  modbus_t *context; /* context of libmodbus; NULL while the device is closed */
+  bool rts_by_hand;  /* whether the caller has to set RTS */
+};
 
 struct modbus_line {
   struct client client; /* first member: see client.h */
@@ -50,7 +69,7 @@ struct modbus_line {
   uint8_t output[MODBUS_RTU_MAX];
 };
 
-/* Reads an option (server/modbus/device.h), opens the device and logs it. If the device cannot be
+/* Reads rtu:DEVICE[,BAUD[,PARITY[,UNIT]]][,rts=high|low][,rts-delay-ms=N], opens the device and logs it. If the device cannot be
  * opened, logs that, and the line opens it later. The caller then gives `client` to the worker that
  * has the units. If the option is wrong, prints a message to standard error and returns false. */
 bool modbus_line_open(struct modbus_line *line, struct modbus_units *units, const char *url);

@@ -1,16 +1,12 @@
 ## dipoled: what it refuses at its start, and says then. The loops print each exit status.
 $ dipoled --max-medium 5; dipoled --wrokers; dipoled --wrokers=3; dipoled --worker-s; dipoled --nothing-like-it; dipoled --max-media; dipoled tcp:127.0.0.1:0
 ! dipoled: unrecognized option '--max-medium'
-! dipoled: the nearest option is --max-media
 ! dipoled --help lists the options
 ! dipoled: unrecognized option '--wrokers'
-! dipoled: the nearest option is --workers
 ! dipoled --help lists the options
 ! dipoled: unrecognized option '--wrokers=3'
-! dipoled: the nearest option is --workers
 ! dipoled --help lists the options
 ! dipoled: unrecognized option '--worker-s'
-! dipoled: the nearest option is --workers
 ! dipoled --help lists the options
 ! dipoled: unrecognized option '--nothing-like-it'
 ! dipoled --help lists the options
@@ -54,12 +50,12 @@ $ for one in WORKER LOGLEVEL max_media '' PORT SERVICE_HOSTS; do env "DIPOLED_$o
 2
 2
 2
-! dipoled: the environment variable DIPOLED_WORKER is no option; the nearest is DIPOLED_WORKERS. dipoled --help lists them
-! dipoled: the environment variable DIPOLED_LOGLEVEL is no option; the nearest is DIPOLED_LOG_LEVEL. dipoled --help lists them
-! dipoled: the environment variable DIPOLED_max_media is no option; the nearest is DIPOLED_MAX_MEDIA. dipoled --help lists them
-! dipoled: the environment variable DIPOLED_ is no option; the nearest is DIPOLED_FD. dipoled --help lists them
-! dipoled: the environment variable DIPOLED_PORT is no option; the nearest is DIPOLED_KEY. dipoled --help lists them
-! dipoled: the environment variable DIPOLED_SERVICE_HOSTS is no option; the nearest is DIPOLED_CERTIFICATE. dipoled --help lists them
+! dipoled: the environment variable DIPOLED_WORKER is no option; dipoled --help lists them
+! dipoled: the environment variable DIPOLED_LOGLEVEL is no option; dipoled --help lists them
+! dipoled: the environment variable DIPOLED_max_media is no option; dipoled --help lists them
+! dipoled: the environment variable DIPOLED_ is no option; dipoled --help lists them
+! dipoled: the environment variable DIPOLED_PORT is no option; dipoled --help lists them
+! dipoled: the environment variable DIPOLED_SERVICE_HOSTS is no option; dipoled --help lists them
 
 $ DIPOLED_MODBUS_READ_ONLY=yes dipoled
 ! dipoled: --modbus-read-only is 0 or 1 in the environment, not 'yes'
