@@ -11,8 +11,13 @@ const registers_block registers_blocks[REGISTERS_BLOCKS] = {
 
 const registers_job registers_jobs[REGISTERS_JOBS] = {
 #define REGISTERS_JOB(MESSAGE, PREFIX, deadline, progress)                                         \
-  {WIRE_TYPE_##MESSAGE, REGISTERS_AT_##PREFIX##COMMIT, REGISTERS_AT_##PREFIX##CANCEL, deadline,    \
-   REGISTERS_AT_##PREFIX##STATUS, REGISTERS_AT_##PREFIX##PLACE, progress,                          \
+  {WIRE_TYPE_##MESSAGE,                                                                            \
+   REGISTERS_AT_##PREFIX##COMMIT,                                                                  \
+   REGISTERS_AT_##PREFIX##CANCEL,                                                                  \
+   deadline,                                                                                       \
+   REGISTERS_AT_##PREFIX##STATUS,                                                                  \
+   REGISTERS_AT_##PREFIX##PLACE,                                                                   \
+   progress,                                                                                       \
    REGISTERS_AT_##PREFIX##ERROR_TEXT},
 #include "proto/registers.def"
 };
@@ -127,7 +132,8 @@ bool registers_include(unsigned address, unsigned count, unsigned another) {
 }
 
 static bool is_input_block(unsigned block) {
-  return block == block_at[REGISTERS_AT_COMMIT] || block == block_at[REGISTERS_AT_WANTED];
+  return block == block_at[REGISTERS_AT_COMMIT] || block == block_at[REGISTERS_AT_WANTED] ||
+         block == block_at[REGISTERS_AT_LAYER_COUNT];
 }
 
 const registers_field *registers_named(const registers_job *job, const char *name, bool is_result) {
@@ -144,7 +150,10 @@ const registers_field *registers_named(const registers_job *job, const char *nam
 }
 
 unsigned registers_of_field(const registers_job *job, const char *field, uint64_t index) {
-  const registers_field *found = registers_named(job, field, false);
+  char below[64];
+  snprintf(below, sizeof below, "below_%s", field);
+  const registers_field *found = index > 0 ? registers_named(job, below, false) : NULL;
+  found = found != NULL ? found : registers_named(job, field, false);
   return found == NULL ? job->commit
                        : found->address + (unsigned)(index < found->count ? index : 0) *
                                               registers_width(found->type);

@@ -29,7 +29,7 @@ enum {
 
 /* The quantities that can be wanted: those that have output registers. */
 #define REGISTERS_QUANTITIES                                                                       \
-  (CORE_QUANTITY_R | CORE_QUANTITY_ALBEDO | CORE_QUANTITY_CDF | CORE_QUANTITY_S)
+  (CORE_QUANTITY_R | CORE_QUANTITY_ALBEDO | CORE_QUANTITY_CDF | CORE_QUANTITY_S | CORE_QUANTITY_T)
 
 /* PDU address of a parameter of core. */
 #define REGISTERS_PARAMETER_AT(id) ((id) == CORE_PARAMETER_TOLERANCE ? 104 : 216 + 2 * (id))

@@ -138,6 +138,9 @@ static void watch_task(const struct modbus_task *task, uint64_t named_ms) {
 
 wire_error modbus_task_commit(struct modbus_task *task, struct client *master) {
   struct worker *worker = task->client->worker;
+  if (registers_u16(task->registers, REGISTERS_AT_PRESET) > 3 * core_measured_media_count) {
+    return wire_error_make(WIRE_STATUS_BAD_VALUE, "preset", "0, or a row of `dipole media`");
+  }
   const wire_header header = {
       .type = (uint16_t)fields_of(task)->message,
       .payload_bytes = (uint32_t)modbus_translate_input(task->kind, task->registers, task->request),

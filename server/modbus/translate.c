@@ -8,12 +8,12 @@
 
 enum {
   LINKS_MAX = 24,      /* most fields of a structure that have registers */
-  STRUCTURES_MAX = 20, /* most structures of requests and replies */
+  STRUCTURES_MAX = 24, /* most structures of requests and replies */
   NAME_BYTES = 64,
 };
 
-_Static_assert(WIRE_BYTES_eval_reply + sizeof(double) + 5 * WIRE_BYTES_quantity_error +
-                       3 * REGISTERS_RADII_MAX * sizeof(double) <=
+_Static_assert(WIRE_BYTES_eval_reply + sizeof(double) + 6 * WIRE_BYTES_quantity_error +
+                       4 * REGISTERS_RADII_MAX * sizeof(double) <=
                    MODBUS_REPLY_BYTES,
                "the reply to an eval is shorter");
 
@@ -96,7 +96,8 @@ static void put_fields(enum registers_job_kind kind, const schema_structure *str
 /* Removes all parameters but those that Monte Carlo accepts. */
 static void keep_walks(core_parameters *parameters) {
   static const unsigned walks[] = {CORE_PARAMETER_PHASE, CORE_PARAMETER_PHASE_SHARE,
-                                   CORE_PARAMETER_PHASE_G, CORE_PARAMETER_DETECTOR_NA};
+                                   CORE_PARAMETER_PHASE_G, CORE_PARAMETER_DETECTOR_NA,
+                                   CORE_PARAMETER_ETA_BELOW};
   const core_parameters given = *parameters;
   *parameters = core_parameters_none();
   for (size_t i = 0; i < sizeof walks / sizeof walks[0]; i++) {
@@ -109,11 +110,10 @@ static void complete(enum registers_job_kind kind, core_parameters *parameters, 
   const uint16_t parameter_count = (uint16_t)schema_count_parameters(parameters);
   wire_eval_request *eval = request;
   wire_sample_request *sample = request;
-  wire_mc_request *mc = request;
   fit_start *fit = request;
   switch (kind) {
   case REGISTERS_JOB_EVAL:
-    eval->medium_count = eval->layer_count = 1;
+    eval->medium_count = 1;
     eval->parameter_count = parameter_count;
     eval->wanted |= CORE_QUANTITY_MODEL_ERROR;
     if (eval->spacing == CORE_SPACING_LIST) {
@@ -121,7 +121,7 @@ static void complete(enum registers_job_kind kind, core_parameters *parameters, 
     }
     break;
   case REGISTERS_JOB_SAMPLE:
-    sample->medium_count = sample->layer_count = 1;
+    sample->medium_count = 1;
     sample->parameter_count = parameter_count;
     sample->wanted = SAMPLE_WANTED;
     if (sample->draw != CORE_DRAW_RANDOM) {
@@ -130,7 +130,6 @@ static void complete(enum registers_job_kind kind, core_parameters *parameters, 
     }
     break;
   case REGISTERS_JOB_MC:
-    mc->layer_count = 1;
     keep_walks(parameters);
     break;
   case REGISTERS_JOB_FIT:
@@ -184,6 +183,20 @@ static void put_readings(const uint16_t image[REGISTERS_END], unsigned count, bo
   }
 }
 
+/* Returns the medium that the register `preset` names; NULL: none. */
+static const core_measured_medium *preset_of(const uint16_t image[REGISTERS_END]) {
+  const unsigned row = registers_u16(image, REGISTERS_AT_PRESET);
+  return row > 0 ? &core_measured_media[(row - 1) / 3] : NULL;
+}
+
+/* Returns the number of layers in a request; NULL for requests whose medium has one. */
+static uint32_t *layer_count_of(enum registers_job_kind kind, void *request) {
+  return kind == REGISTERS_JOB_EVAL     ? &((wire_eval_request *)request)->layer_count
+         : kind == REGISTERS_JOB_SAMPLE ? &((wire_sample_request *)request)->layer_count
+         : kind == REGISTERS_JOB_MC     ? &((wire_mc_request *)request)->layer_count
+                                        : NULL;
+}
+
 size_t modbus_translate_input(enum registers_job_kind kind, const uint16_t image[REGISTERS_END],
                               uint8_t *request) {
   const schema_payload *payload = message_of(kind)->request;
@@ -199,6 +212,12 @@ size_t modbus_translate_input(enum registers_job_kind kind, const uint16_t image
     parameters.value[one->id] = registers_optional(image, REGISTERS_PARAMETER_AT(one->id));
   }
   complete(kind, &parameters, request);
+  const core_measured_medium *preset = preset_of(image);
+  const size_t preset_row = (registers_u16(image, REGISTERS_AT_PRESET) - 1U) % 3;
+  uint32_t *layer_count = layer_count_of(kind, request);
+  if (preset != NULL && layer_count != NULL) {
+    *layer_count = (uint32_t)preset->layer_count;
+  }
   schema_lay_out(payload, request, UINT64_MAX, &layout, NULL);
   bytes = (size_t)layout.payload_bytes;
   assert(bytes + CORE_PARAMETERS_END * WIRE_BYTES_parameter <= MODBUS_REQUEST_BYTES);
@@ -211,6 +230,15 @@ size_t modbus_translate_input(enum registers_job_kind kind, const uint16_t image
       bytes += part->rest ? put : 0;
     } else if (count > 0 && part->kind == SCHEMA_LIST) {
       put_fields(kind, part->structure, "", image, to);
+      for (size_t k = 0; layer_count != NULL && preset != NULL && k < preset->layer_count; k++) {
+        const core_medium *from = &preset->channel[preset_row * preset->layer_count + k];
+        const wire_medium layer = {from->sigma_a_per_mm, from->sigma_s_per_mm, from->g, from->eta,
+                                   from->thickness_mm};
+        wire_put_medium(to + k * WIRE_BYTES_medium, &layer);
+      }
+      if (layer_count != NULL && preset == NULL && count > 1) {
+        put_fields(kind, part->structure, "below_", image, to + WIRE_BYTES_medium);
+      }
       /* The reference medium has the thickness of the medium. */
       if (strcmp(part->name, "reference") == 0) {
         put_fields(kind, part->structure, "reference_", image, to);
@@ -294,7 +322,8 @@ static struct values radii_of(const uint8_t *request, const wire_eval_request *f
                               double room[REGISTERS_RADII_MAX]) {
   const size_t value_bytes = core_evaluator_bytes(fixed->evaluator);
   if (fixed->spacing == CORE_SPACING_LIST) {
-    return (struct values){request + WIRE_BYTES_eval_request + WIRE_BYTES_medium +
+    return (struct values){request + WIRE_BYTES_eval_request +
+                               fixed->layer_count * WIRE_BYTES_medium +
                                fixed->parameter_count * WIRE_BYTES_parameter,
                            value_bytes};
   }
@@ -377,10 +406,12 @@ static void take_eval(const uint8_t *request, const uint8_t *reply, size_t reply
   const struct values radii = radii_of(request, &fixed, room);
   const struct values R = array_of(reply, &layout, &start, CORE_QUANTITY_R);
   const struct values cdf = array_of(reply, &layout, &start, CORE_QUANTITY_CDF);
+  const struct values T = array_of(reply, &layout, &start, CORE_QUANTITY_T);
   const struct values S = array_of(reply, &layout, &start, CORE_QUANTITY_S);
   const unsigned before = registers_u16(image, REGISTERS_AT_COUNT);
   set_values(image, REGISTERS_AT_R, REGISTERS_AT_R_DOUBLE, &R, count, before);
   set_values(image, REGISTERS_AT_CDF, REGISTERS_AT_CDF_DOUBLE, &cdf, count, before);
+  set_values(image, REGISTERS_AT_T, 0, &T, count, before);
   set_values(image, REGISTERS_AT_S, REGISTERS_AT_S_DOUBLE, &S, count, before);
   set_values(image, REGISTERS_AT_DISTANCES, 0, &radii, count, before);
   const wire_quantity_error error = eval_largest_error(reply, &layout, start.wanted, 0);

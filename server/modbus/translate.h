@@ -14,7 +14,8 @@
 enum {
   /* Bytes of the longest request, that of a fit: the design with its places, and the readings. */
   MODBUS_REQUEST_BYTES = (int)WIRE_BYTES_fit_request + (int)WIRE_BYTES_fit_design +
-                         CORE_PARAMETERS_END * (int)WIRE_BYTES_parameter + (int)WIRE_BYTES_medium +
+                         CORE_PARAMETERS_END * (int)WIRE_BYTES_parameter +
+                         CORE_LAYERS_MAX * (int)WIRE_BYTES_medium +
                          5 * REGISTERS_FIT_READINGS_MAX * (int)sizeof(double),
   /* Bytes of the longest reply, that of an mc: edges, photons, and R with its errors. */
   MODBUS_REPLY_BYTES =

@@ -300,7 +300,7 @@ def test_table_and_lists(served):
         assert all({"id", "name", "about"} == set(one) for one in answer[name])
     media = good(get(served, "/v1/media"))["media"]
     skin = next(one for one in media if one["name"] == "skin1")
-    assert skin["sigma_a"] == [0.032, 0.17, 0.48] and skin["eta"] == 1.3
+    assert skin["sigma_a"] == [0.032, 0.17, 0.48] and skin["eta"] == [1.3] * 3 and skin["thickness"] == [0] * 3
 
 
 # ---- faults ------------------------------------------------------------------------------------

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 from daemons import eventually
-from dipole import Draw, Grid, Refused
+from dipole import Draw, Grid, Medium, Refused, Stack
 from lists import EVALUATORS, MODELS, choices
 from modbus_master import (
     AT, BAD_ADDRESS, BAD_VALUE, BAD_VALUE_STATUS, BLOCKS, BUSY, BUSY_STATUS, DEADLINE_STATUS, DONE, ERROR, IS_BUSY,
@@ -41,7 +41,7 @@ class Head(NamedTuple):
 
 
 def head(master: Tcp, kind: str, unit: int = 1) -> Head:
-    return Head(*as_words(master.read(AT[f"{kind}_STATUS"], 7, unit)))
+    return Head(*as_words(master.read(AT[f"{kind}_STATUS".lstrip("_")], 7, unit)))
 
 
 def ended(master: Tcp, kind: str, unit: int = 1) -> Head:
@@ -174,6 +174,38 @@ def test_an_mc_has_the_wires_values(master, client, spacing, thickness):
     np.testing.assert_allclose(
         progress[3:], [expected.error_total, expected.error_rings], rtol=2**-23
     )
+
+
+def test_two_layers_have_the_wires_values(master, client):
+    unit, above, below = 131, single([0.5, 1.0, 0.0, 1.3, 0.5]), single([0.25, 1.5, 0.25, 1.3, 0.75])
+    stack, radii = Stack(Medium(*above), Medium(*below)), single([0.5, 1.0, 2.0])
+    set_medium(master, unit, above[:4], "transport", "f64")
+    setting(master, unit, RADIUS_COUNT=3, RADII=floats(*radii), PARAMETER_TOLERANCE=floats(0.125))
+    setting(master, unit, THICKNESS=floats(above[4]), PARAMETER_ETA_BELOW=floats(1.25), WANTED=1 + 2 + 16384)
+    setting(master, unit, LAYER_COUNT=2, BELOW_SIGMA_A=floats(*below))
+    setting(master, unit, COMMIT=5)
+    assert ended(master, "", unit)[:3] == (DONE, 5, 0)
+    options = {"evaluator": "f64", "tolerance": 0.125, "parameters": {"eta_below": 1.25}}
+    expected = client.eval("transport", stack, radii, wanted=["R", "albedo", "T"], **options)
+    assert numbers(master, "R", 3, unit).tobytes() == expected.R.astype("f4").tobytes()
+    assert numbers(master, "T", 3, unit).tobytes() == expected.T.astype("f4").tobytes()
+    setting(master, unit, RADIUS_START=floats(0.25, 4.0), MC_SPACING=2, MC_RING_COUNT=4, MC_SEED=words(0, 1))
+    setting(master, unit, MC_ERROR_TOTAL=floats(-1), MC_PHOTONS=floats(20000), MC_COMMIT=6)
+    assert ended(master, "MC", unit)[:3] == (DONE, 6, 0)
+    walked = client.mc(stack, Grid(0.25, 4.0, 5), photons=20000, parameters={"eta_below": 1.25})
+    assert numbers(master, "MC_T", 4, unit).tobytes() == walked.values[0, 1].astype("f4").tobytes()
+
+    setting(master, unit, WANTED=1, PARAMETER_ETA_BELOW=floats(0.0), PRESET=3 * list(client.media()).index("skin-dark") + 2)
+    setting(master, unit, COMMIT=7)
+    assert ended(master, "", unit)[:3] == (DONE, 7, 0)
+    green = client.media()["skin-dark"][1]
+    expected = client.eval("transport", green, radii, wanted="R", evaluator="f64", tolerance=0.125)
+    assert numbers(master, "R", 3, unit).tobytes() == expected.R.astype("f4").tobytes()
+    for register, value in ((AT["PRESET"], 3 * len(client.media()) + 1), (AT["BELOW_ETA"], None)):
+        setting(master, unit, PRESET=value or 0, BELOW_ETA=floats(5.0))
+        with pytest.raises(Exception_):
+            setting(master, unit, COMMIT=8)
+        assert ended(master, "", unit)[:4] == (ERROR, 7, BAD_VALUE_STATUS, register)
 
 
 def test_an_mc_takes_an_aperture(master, client):
