@@ -266,7 +266,7 @@ def test_one_wrong_value_among_many(master):
 def test_addresses_are_checked_before_values(master):
     """Addresses are checked first, as in the state diagrams of the specification. The request
     begins with a value out of range and ends with registers that cannot be written."""
-    bad = AT["PARAMETER_ETA_BELOW"]
+    bad = AT["BELOW_THICKNESS"]
     assert refused(master, bad, floats(-5.0, 1.0), 48) == (2, BAD_ADDRESS_STATUS, bad + 2)
     bad = AT["MODEL"]
     half = words(9999) + bytes(8) + floats(1)[:2]
