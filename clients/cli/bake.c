@@ -1,5 +1,6 @@
 /* dipole bake: kernels, lengths and tables of a medium for engines, each with its error. */
 #include <math.h>
+#include <png.h>
 #include <string.h>
 #include <strings.h>
 #include <unistd.h>
@@ -437,6 +438,7 @@ static int make_colour_map(bake *of) {
     return CLI_FAILED;
   }
   set_rows(&of->sheet, size, 1, names);
+  of->sheet.width = size;
   for (size_t i = 0; i < size; i++) {
     /* the colour is darker than that of any medium */
     of->sheet.values[i] = isnan(albedos[2 * i]) ? 0 : albedos[2 * i];
@@ -621,12 +623,9 @@ static void write_colours(const sheet *of, bool cube) {
 }
 
 /* Writes a picture as a portable float map, whose rows go upward: of lut one for each curvature, of
- * profile R and then the cdf. It has no room for facts: they go to standard error. */
-static int write_pfm(const sheet *of) {
+ * profile R and then the cdf. */
+static void write_pfm(const sheet *of) {
   const size_t pictures = (of->columns - of->pixels_from) / 3;
-  if (isatty(STDOUT_FILENO) == 1) {
-    return cli_fail_usage("--format pfm: a terminal cannot show it; write it into a file with >");
-  }
   printf("PF\n%zu %zu\n-1.0\n", of->width, pictures * of->rows / of->width);
   for (size_t i = 0; i < pictures * of->rows; i++) {
     const double *from =
@@ -634,13 +633,39 @@ static int write_pfm(const sheet *of) {
     const float pixel[] = {(float)from[0], (float)from[1], (float)from[2]};
     fwrite(pixel, sizeof pixel, 1, stdout);
   }
-  put_facts(of, stderr, "");
-  return CLI_OK;
+}
+
+/* Writes the same picture as a PNG of 16 bits, linear; grey if there is one column. */
+static int write_png(const sheet *of) {
+  png_image image = {.version = PNG_IMAGE_VERSION,
+                     .width = (png_uint_32)of->width,
+                     .height = (png_uint_32)(of->rows / of->width),
+                     .format = of->columns == 1 ? PNG_FORMAT_LINEAR_Y : PNG_FORMAT_LINEAR_RGB};
+  const size_t channels = PNG_IMAGE_SAMPLE_CHANNELS(image.format);
+  uint16_t *levels = cli_allocate(of->rows * channels, sizeof *levels);
+  for (size_t i = 0; i < of->rows * channels; i++) {
+    const double value = of->values[i / channels * of->columns + of->pixels_from + i % channels];
+    levels[i] = (uint16_t)lround(65535 * fmin(fmax(value, 0), 1));
+  }
+  const png_int_32 upward = -(png_int_32)(of->width * channels);
+  return png_image_write_to_stdio(&image, stdout, 0, levels, upward, NULL) != 0
+             ? CLI_OK
+             : cli_fail("PNG: %s", image.message);
 }
 
 static int write_sheet(const sheet *of, const char *format) {
-  if (strcmp(format, "pfm") == 0) {
-    return write_pfm(of);
+  const bool png = strcmp(format, "png") == 0;
+  if (png || strcmp(format, "pfm") == 0) {
+    if (isatty(STDOUT_FILENO) == 1) {
+      return cli_fail_usage("--format %s: a terminal cannot show it; write it into a file with >",
+                            format);
+    }
+    put_facts(of, stderr, ""); /* pictures have no room for them */
+    if (png) {
+      return write_png(of);
+    }
+    write_pfm(of);
+    return CLI_OK;
   }
   if (strcmp(format, "spi1d") == 0 || strcmp(format, "cube") == 0) {
     write_colours(of, format[0] == 'c');
@@ -668,9 +693,9 @@ static const struct kind {
 } kinds[] = {{"kernel", make_kernel, true, ",c,hlsl,csv,json,"},
              {"burley", make_burley, true, ",c,csv,json,"},
              {"gaussians", make_gaussians, true, ",c,csv,json,"},
-             {"lut", make_lut, true, ",c,csv,json,pfm,"},
+             {"lut", make_lut, true, ",c,csv,json,pfm,png,"},
              {"profile", make_profile, true, ",c,csv,json,pfm,"},
-             {"colour-map", make_colour_map, false, ",c,csv,json,spi1d,cube,"},
+             {"colour-map", make_colour_map, false, ",c,csv,json,spi1d,cube,png,"},
              {"formula", NULL, false, ",c,glsl,hlsl,osl,python,"}};
 
 static const struct kind *kind_of(const cli_settings *settings) {
@@ -794,7 +819,7 @@ const cli_command cli_command_bake = {
         "Values are by transport, linear, and for weights of 1 in each channel: multiply by "
         "`colour`. Each file says its errors. c is an array of C, hlsl one of float4 with "
         "--common.",
-    .formats = "c,hlsl,csv,json,pfm,spi1d,cube,glsl,osl,python",
+    .formats = "c,hlsl,csv,json,pfm,png,spi1d,cube,glsl,osl,python",
     .options = {options, cli_medium_options},
     .check = check,
     .is_local = is_local,

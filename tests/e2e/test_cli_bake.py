@@ -163,19 +163,57 @@ def test_a_sphere_is_lit_as_the_table_says(client, medium):
     assert error == pytest.approx(file["value_error"][0], rel=0.1, abs=1e-3)
 
 
-def test_a_portable_float_map_has_the_table(tmp_path):
-    arguments = ["bake", "lut", "--medium", "skin1", "--size", "16", "--format"]
+def pixels(file: Path):
+    """What ImageMagick reads, [height][width][red, green, blue], 0 to 1."""
+    size = subprocess.run(["identify", "-format", "%w %h", file], check=True, capture_output=True).stdout
+    command = ["convert-im6.q16", file, "-set", "colorspace", "sRGB", "-depth", "16", "-endian", "LSB", "rgb:-"]
+    raw = subprocess.run(command, check=True, capture_output=True).stdout
+    width, height = map(int, size.split())
+    return np.frombuffer(raw, "<u2").reshape(height, width, 3) / 65535
+
+
+@pytest.mark.parametrize("kind, formats", [("lut", ["pfm", "png"]), ("profile", ["pfm"]), ("colour-map", ["png"])])
+def test_pictures_have_the_rows(kind, formats, tmp_path):
+    of = ["colour-map"] if kind == "colour-map" else [kind, "--medium", "skin1"]
+    arguments = ["bake", *of, "--size", "16", "--format"]
     rows = np.array(json.loads(dipole(*arguments, "json").stdout)["rows"])
-    command = [str(PROGRAM), *arguments, "pfm"]
-    run = subprocess.run(command, capture_output=True, check=True, env=environment())
-    head, values = run.stdout[:14], np.frombuffer(run.stdout[14:], "<f4").reshape(-1, 3)
-    assert head == b"PF\n16 16\n-1.0\n" and b"value_error" in run.stderr
-    assert np.allclose(values, rows[:, 2:], rtol=1e-6, atol=1e-9)
+    if kind == "lut":  # the top row is the last one
+        rows = rows[:, 2:].reshape(16, 16, 3)[::-1]
+    elif kind == "profile":
+        rows = np.array([rows[:, 4:], rows[:, 1:4]])
+    else:
+        rows = np.repeat(rows[None], 3, axis=2)
+    for format in formats:
+        file = tmp_path / f"picture.{format}"
+        command = [str(PROGRAM), *arguments, format]
+        run = subprocess.run(command, capture_output=True, check=True, env=environment())
+        file.write_bytes(run.stdout)
+        assert b"_error " in run.stderr
+        assert pixels(file) == pytest.approx(np.clip(rows, 0, 1), abs=1.1 / 65535)
+    if "pfm" in formats:  # its values are floats
+        values = np.frombuffer((tmp_path / "picture.pfm").read_bytes()[-rows.size * 4 :], "<f4")
+        assert values.reshape(rows.shape) == pytest.approx(rows[::-1], rel=1e-6)
 
 
-@pytest.mark.parametrize("light", ["beam", "diffuse"])
-def test_a_map_of_colours_shows_them(client, light, tmp_path):
-    asked = ["--g", "0.5", "--eta", "1.4", "--light", light, "--size", "128"]
+@pytest.mark.parametrize("kind", ["kernel", "burley", "gaussians", "lut", "profile", "colour-map"])
+def test_headers_compile(kind, tmp_path):
+    of = ["colour-map"] if kind == "colour-map" else [kind, "--medium", "skin1"]
+    (tmp_path / "baked.h").write_text(dipole("bake", *of).stdout)
+    (tmp_path / "use.c").write_text(
+        '#include <stdio.h>\n#include "baked.h"\nint main(void) { printf("%g", (double)baked[0][0]); }\n'
+    )
+    command = ["gcc", "-std=c99", "-Wall", "-Wextra", "-Werror", "-o", "use", "use.c"]
+    subprocess.run(command, cwd=tmp_path, check=True)
+    assert subprocess.run([str(tmp_path / "use")], check=True, capture_output=True).stdout
+
+
+MAPS = [(light, g, eta) for light in ("beam", "diffuse") for g in (0, 0.5, 0.8) for eta in (1, 1.33, 1.5)]
+MAPS += [("beam", 0.9, 1.4), ("diffuse", -0.3, 1.6)]
+
+
+@pytest.mark.parametrize("light, g, eta", MAPS)
+def test_a_map_of_colours_shows_them(client, light, g, eta, tmp_path):
+    asked = ["--g", str(g), "--eta", str(eta), "--light", light, "--size", "128"]
     text = dipole("bake", "colour-map", *asked, "--format", "spi1d").stdout
     head, values, tail = text.replace("}", "{").split("{")
     assert head.split() == "Version 1 From 0 1 Length 128 Components 1".split()
@@ -191,8 +229,8 @@ def test_a_map_of_colours_shows_them(client, light, tmp_path):
         assert loaded.applyRGB(places) == pytest.approx(np.interp(places, np.linspace(0, 1, 128), albedos), abs=1e-5)
     # What media of the interpolated albedos show, by the inverse of the daemon's own map.
     colours = np.concatenate([np.linspace(0.02, 0.98, 2000), 1 - np.geomspace(0.0199, 1e-6, 2000)])
-    true = client.varying("transport", colour=colours, length=1.0, given="extinction-path", light=light, g=0.5,
-                          eta=1.4, coefficients="scattered", evaluator="f64", tolerance=1e-4)
+    true = client.varying("transport", colour=colours, length=1.0, given="extinction-path", light=light, g=g,
+                          eta=eta, coefficients="scattered", evaluator="f64", tolerance=1e-4)
     wanted = np.linspace(0.02, 0.9999, 4000)
     shown = np.interp(np.interp(wanted, np.linspace(0, 1, 128), albedos), true.coefficients["scattered"], colours)
     found = np.abs(shown - wanted).max()

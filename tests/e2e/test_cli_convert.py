@@ -7,6 +7,7 @@ import io
 import math
 import re
 from pathlib import Path
+from xml.etree import ElementTree
 
 import pytest
 from command_line import dipole
@@ -77,6 +78,39 @@ def test_a_file_that_is_written_is_read(tmp_path, name):
     assert [row["sigma_a"] for row in rows] == pytest.approx([0.01, 0.2, 2], rel=1e-4)
     for row in rows:
         assert (row["sigma_s"], row["g"], row["eta"]) == pytest.approx((5, 0.3, 1.45), rel=1e-4)
+
+
+# Inputs of MaterialX 1.39's definitions of these nodes (libraries/bxdf, libraries/pbrlib), and the
+# type of their output.
+INPUTS = {
+    "openpbr": ("open_pbr_surface", "surfaceshader", {
+        "subsurface_weight": "float", "subsurface_color": "color3", "subsurface_radius": "float",
+        "subsurface_radius_scale": "color3", "subsurface_scatter_anisotropy": "float", "specular_ior": "float",
+    }),
+    "standard-surface": ("standard_surface", "surfaceshader", {
+        "subsurface": "float", "subsurface_color": "color3", "subsurface_radius": "color3",
+        "subsurface_scale": "float", "subsurface_anisotropy": "float", "specular_IOR": "float",
+    }),
+    "materialx": ("subsurface_bsdf", "BSDF", {"color": "color3", "radius": "color3", "anisotropy": "float"}),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", INPUTS)
+def test_materialx_has_what_is_written(name):
+    """Rules of the specification: the root has a version; names are unique and identifiers; an input has
+    the type of the definition, and a value of as many numbers."""
+    given = ["--sigma-a", "0.01,0.2,2", "--sigma-s", "5", "--g", "0.3", "--eta", "1.45"]
+    text = dipole("convert", "--from", "coefficients", *given, "--to", name, "--format", "native", quiet=False).stdout
+    root = ElementTree.fromstring(text)
+    node, kind, inputs = INPUTS[name]
+    assert root.tag == "materialx" and root.attrib == {"version": "1.39"}
+    (element,) = root
+    assert element.tag == node and element.attrib["type"] == kind and element.attrib["name"].isidentifier()
+    assert {one.attrib["name"]: one.attrib["type"] for one in element} == inputs and len(element) == len(inputs)
+    for one in element:
+        numbers = [float(number) for number in one.attrib["value"].split(",")]
+        assert one.tag == "input" and len(numbers) == {"float": 1, "color3": 3}[one.attrib["type"]]
+        assert set(one.attrib) == {"name", "type", "value"} and all(0 <= number < 1e3 for number in numbers)
 
 
 MTLX = """<?xml version="1.0"?><materialx version="1.39"><open_pbr_surface name="m" type="surfaceshader">
