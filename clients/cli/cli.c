@@ -4,7 +4,6 @@
 #include <stdlib.h>
 #include <string.h>
 #include <sys/ioctl.h>
-#include <time.h>
 #include <unistd.h>
 
 #include "clients/c/error.h"
@@ -63,16 +62,6 @@ cli_terminal cli_terminal_look(void) {
     terminal.rows = size.ws_row > 0 ? size.ws_row : ROWS_USUAL;
   }
   return terminal;
-}
-
-uint64_t cli_now_ns(void) {
-  struct timespec now;
-  clock_gettime(CLOCK_MONOTONIC, &now);
-  return (uint64_t)now.tv_sec * 1000000000 + (uint64_t)now.tv_nsec;
-}
-
-int64_t cli_now_ms(void) {
-  return (int64_t)(cli_now_ns() / 1000000);
 }
 
 /* A header before each block of memory. The headers are a ring, so that all blocks can be freed. */

@@ -7,6 +7,7 @@
 #include <stddef.h>
 #include <stdint.h>
 #include <stdio.h>
+#include <time.h>
 
 #include "clients/c/dipole.h"
 #include "core/core.h"
@@ -180,8 +181,15 @@ cli_terminal cli_terminal_look(void);
 /* ---- time ------------------------------------------------------------------------------------ */
 
 /* These return the time since some moment in the past. */
-uint64_t cli_now_ns(void);
-int64_t cli_now_ms(void);
+static inline uint64_t cli_now_ns(void) {
+  struct timespec now;
+  clock_gettime(CLOCK_MONOTONIC, &now);
+  return (uint64_t)now.tv_sec * 1000000000 + (uint64_t)now.tv_nsec;
+}
+
+static inline int64_t cli_now_ms(void) {
+  return (int64_t)(cli_now_ns() / 1000000);
+}
 
 /* ---- memory: all of it is freed when the command has ended ----------------------------------- */
 

@@ -1,6 +1,7 @@
 /* rings MILLIONS
  * rings media SEED COUNT [FIRST]
  * rings walked MILLIONS [MEDIUM]
+ * rings stacks SEED COUNT [FIRST]
  *
  * The first form compares Monte Carlo with the solver for any phase function, ring by ring, with at
  * least MILLIONS of photons for each g and for each mixture of two functions. It exits with
@@ -20,7 +21,12 @@
  *
  * `walked` walks at least MILLIONS of photons for each of ten such media, or for MEDIUM (0 to 9) of
  * them, and prints a line of CSV for each ring, with what the solver (tolerance 1e-3) has and
- * states; beyond is by how many standard errors Monte Carlo is off by more than what is stated. */
+ * states; beyond is by how many standard errors Monte Carlo is off by more than what is stated.
+ *
+ * `stacks` solves COUNT random stacks of 1 to 5 layers with the tolerances 1e-2 and 1e-3 and on the
+ * finest grid, and prints a line of CSV for R and one for T of each: the largest relative error that
+ * is stated from 0.05 to 30 reduced mean free paths of the first layer, where R is above 1e-9 of
+ * its largest, and share, the largest difference from the finest grid over what is stated. */
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
@@ -292,23 +298,108 @@ static bool check_walked(double millions, size_t first, size_t count) {
   return worst < SIGMAS_MOST;
 }
 
+/* ---- stacks of layers ------------------------------------------------------------------------- */
+
+enum { STACK_LAYERS = 5, FINEST_LEVEL = 5 };
+
+static size_t draw_stack(uint64_t *state, solver_layer layer[STACK_LAYERS], double *eta_below) {
+  const size_t count = 1 + (size_t)(core_splitmix(state) % STACK_LAYERS);
+  const bool steps = core_splitmix_f64(state) < 0.5, deep = core_splitmix_f64(state) < 0.5;
+  const double eta = between(state, 1, 1.6), sigma_t = exp(between(state, log(0.3), log(30)));
+  for (size_t i = 0; i < count; i++) {
+    const double extinction = sigma_t * exp(between(state, log(0.32), log(3.1)));
+    const double white = core_splitmix_f64(state), part = exp(between(state, log(1e-4), log(0.9)));
+    const double absorbed = white < 0.1 ? 0 : part, g = between(state, -0.5, 0.99);
+    const double own = between(state, 1, 1.6), mfps = exp(between(state, log(1e-3), log(100)));
+    const double reduced = extinction * (absorbed + (1 - absorbed) * (1 - g));
+    layer[i] =
+        (solver_layer){extinction * absorbed, extinction * (1 - absorbed), g, steps ? own : eta,
+                       i + 1 == count && deep ? INFINITY : mfps / reduced};
+  }
+  *eta_below = between(state, 1, 1.6);
+  return count;
+}
+
+static bool check_stack(size_t number, const solver_layer *layer, size_t count, double eta_below) {
+  const core_isa *isa = core_isa_select(NULL);
+  static const double tolerances[] = {1e-2, 1e-3};
+  enum { TOLERANCES = sizeof tolerances / sizeof tolerances[0] };
+  solver_layers *finest, *solution[TOLERANCES];
+  double seconds[TOLERANCES];
+  for (size_t i = 0; i < TOLERANCES; i++) {
+    const double start = seconds_now();
+    const core_fault fault =
+        solver_layers_solve(&solution[i], isa, layer, count, eta_below, tolerances[i], NULL);
+    seconds[i] = seconds_now() - start;
+    if (fault.field != NULL) {
+      printf("%zu,%zu,refused: %s %s\n", number, count, fault.field, fault.allowed);
+      return true;
+    }
+  }
+  tools_check(solver_layers_solve_level(&finest, isa, layer, count, eta_below, FINEST_LEVEL, NULL),
+              "the solver");
+  const double mfp_mm = 1 / (layer[0].sigma_a_per_mm + layer[0].sigma_s_per_mm * (1 - layer[0].g));
+  bool good = true;
+  for (size_t side = 0; side < (isinf(layer[count - 1].thickness_mm) ? 1 : SOLVER_SIDES); side++) {
+    printf("%zu,%zu,%c", number, count, "RT"[side]);
+    for (size_t i = 0; i < TOLERANCES; i++) {
+      double stated = 0, share = 0, at = 0;
+      const double large = solver_layers_at(finest, side, 0.05 * mfp_mm).value;
+      for (double r = 0.05; r < 30; r *= 1.25) {
+        const double truth = solver_layers_at(finest, side, r * mfp_mm).value;
+        const transport_number R = solver_layers_at(solution[i], side, r * mfp_mm);
+        if (!(truth > 1e-9 * large)) {
+          break;
+        }
+        stated = fmax(stated, R.error / truth);
+        if (!(fabs(R.value - truth) <= share * R.error)) {
+          share = fabs(R.value - truth) / R.error;
+          at = r;
+        }
+      }
+      printf(",%.3g,%.3g,%.3g,%.3g", stated, share, at, seconds[i]);
+      good = good && share <= 1;
+    }
+    printf("\n");
+  }
+  fflush(stdout);
+  for (size_t i = 0; i < TOLERANCES; i++) {
+    solver_layers_free(solution[i]);
+  }
+  solver_layers_free(finest);
+  return good;
+}
+
+static bool check_stacks(uint64_t seed, size_t count, size_t first) {
+  uint64_t state = seed;
+  bool good = true;
+  printf("stack,layers,of,stated_2,share_2,at_2,seconds_2,stated_3,share_3,at_3,seconds_3\n");
+  for (size_t i = 0; i < first + count; i++) {
+    solver_layer layer[STACK_LAYERS];
+    double eta_below;
+    const size_t layers = draw_stack(&state, layer, &eta_below);
+    good = (i < first || check_stack(i, layer, layers, eta_below)) && good;
+  }
+  return good;
+}
+
 static double number_of(const char *text) {
   return text != NULL ? atof(text) : 0;
 }
 
 int main(int argc, char **argv) {
-  const bool media_alone = argc >= 4 && strcmp(argv[1], "media") == 0;
-  if (media_alone) {
-    return check_media((uint64_t)number_of(argv[2]), (size_t)number_of(argv[3]),
-                       (size_t)number_of(argv[4]))
-               ? EXIT_SUCCESS
-               : EXIT_FAILURE;
+  if (argc >= 4 && (strcmp(argv[1], "media") == 0 || strcmp(argv[1], "stacks") == 0)) {
+    const uint64_t seed = (uint64_t)number_of(argv[2]);
+    const size_t count = (size_t)number_of(argv[3]), first = (size_t)number_of(argv[4]);
+    return (argv[1][0] == 'm' ? check_media : check_stacks)(seed, count, first) ? EXIT_SUCCESS
+                                                                                : EXIT_FAILURE;
   }
   const bool walks = argc >= 3 && strcmp(argv[1], "walked") == 0;
   const double millions = argc == 2 || walks ? atof(argv[walks ? 2 : 1]) : 0;
   const double one = walks ? number_of(argv[3]) : 0;
   if (!(millions >= 0.1 && millions <= 1e6 && one >= 0 && one < WALKED)) {
-    tools_fail("usage: rings MILLIONS | media SEED COUNT [FIRST] | walked MILLIONS [MEDIUM]");
+    tools_fail("usage: rings MILLIONS | media SEED COUNT [FIRST] | walked MILLIONS [MEDIUM] | "
+               "stacks SEED COUNT [FIRST]");
   }
   if (walks) {
     const bool all = argv[3] == NULL;
