@@ -106,8 +106,7 @@ static const cli_option options[] = {
     CLI_OPTION(NUMBERS, length, NULL,
                "the length that the convention names, in its unit, scale included; a single value "
                "is for all channels"),
-    CLI_OPTION(TEXT, unit, "mm",
-               "unit of lengths in scene units: mm, cm, m, or the millimetres of one"),
+    CLI_UNIT_OPTION,
     {0},
 };
 
@@ -619,16 +618,6 @@ static bool read_file(cli_settings *settings, const convention *from) {
   return true;
 }
 
-/* Returns the millimetres of a unit; NAN if it is none. */
-static double unit_of(const char *unit) {
-  char *end = "";
-  const double value = strcmp(unit, "mm") == 0   ? 1
-                       : strcmp(unit, "cm") == 0 ? 10
-                       : strcmp(unit, "m") == 0  ? 1000
-                                                 : strtod(unit, &end);
-  return *end == '\0' && value > 0 && value < INFINITY ? value : NAN;
-}
-
 static bool is_native(const cli_settings *settings) {
   return settings->format != NULL && strcmp(settings->format, "native") == 0;
 }
@@ -642,8 +631,8 @@ static int check(cli_settings *settings) {
       !find_convention("to", settings->target, &to)) {
     return CLI_USAGE;
   }
-  if (isnan(unit_of(settings->unit))) {
-    return cli_fail_usage("--unit: mm, cm, m, or a number of millimetres");
+  if (isnan(cli_unit_mm(settings))) {
+    return CLI_USAGE;
   }
   if (is_native(settings) && (to == NULL || to->form == &form_NONE)) {
     return cli_fail_usage("--format native: %s has none", name_of(to));
@@ -682,7 +671,7 @@ static int check(cli_settings *settings) {
 }
 
 static int run_convert(const cli_settings *settings, dipole_client *client) {
-  material of = {.settings = settings, .client = client, .unit_mm = unit_of(settings->unit)};
+  material of = {.settings = settings, .client = client, .unit_mm = cli_unit_mm(settings)};
   cli_profile profile = {0};
   find_convention("from", settings->source, &of.from);
   find_convention("to", settings->target, &of.to);

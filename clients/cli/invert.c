@@ -50,7 +50,7 @@ static int check(cli_settings *settings) {
   const char *name;
   const size_t albedos = settings->albedo.count;
   if (albedos == 0) {
-    return cli_fail_usage("give --albedo, and --mean-free-path in mm");
+    return cli_fail_usage("give --albedo, and --mean-free-path");
   }
   const cli_numbers *lengths = cli_lengths_find(settings, &name);
   if (lengths == NULL) {
@@ -167,7 +167,7 @@ static int run_invert(const cli_settings *settings, dipole_client *client) {
   for (size_t i = 0; i < of.count; i++) {
     const double albedo = cli_numbers_pick(&settings->albedo, i, 0);
     of.items[i].wanted_albedo = settings->srgb ? cli_srgb_to_linear(albedo) : albedo;
-    of.items[i].length_mm = cli_numbers_pick(lengths, i, 0);
+    of.items[i].length_mm = cli_unit_mm(settings) * cli_numbers_pick(lengths, i, 0);
   }
   if (!cli_profile_take_names(settings, client, &of.profile)) {
     return CLI_USAGE;

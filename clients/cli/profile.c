@@ -67,9 +67,23 @@ const cli_numbers *cli_lengths_find(const cli_settings *settings, const char **n
   }
   if (given != 1) {
     cli_fail_usage("give exactly one of --mean-free-path, --diffuse-mean-free-path, "
-                   "--classical-diffuse-path and --extinction-path, in mm");
+                   "--classical-diffuse-path and --extinction-path");
   }
-  return given == 1 ? found : NULL;
+  return given == 1 && !isnan(cli_unit_mm(settings)) ? found : NULL;
+}
+
+double cli_unit_mm(const cli_settings *settings) {
+  const char *unit = settings->unit;
+  char *end = "";
+  const double value = strcmp(unit, "mm") == 0   ? 1
+                       : strcmp(unit, "cm") == 0 ? 10
+                       : strcmp(unit, "m") == 0  ? 1000
+                                                 : strtod(unit, &end);
+  if (*end == '\0' && value > 0 && value < INFINITY) {
+    return value;
+  }
+  cli_fail_usage("--unit: mm, cm, m, or a number of millimetres");
+  return NAN;
 }
 
 /* ---- parameters ------------------------------------------------------------------------------ */

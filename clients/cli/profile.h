@@ -46,16 +46,18 @@ extern const cli_option cli_layer_options[];
   "takes .2 ms, and 30 times as long for each radius. --model better, which many renderers use, "  \
   "takes microseconds."
 
+#define CLI_UNIT_OPTION                                                                            \
+  CLI_OPTION(TEXT, unit, "mm", "unit of lengths: mm, cm, m, or the millimetres of a scene's unit")
+
 /* The lengths by which a medium can be given with an albedo. */
 #define CLI_LENGTH_OPTIONS                                                                         \
-  CLI_OPTION(NUMBERS, mean_free_path, NULL,                                                        \
-             "1 / sigma_t', mm; a single value is for all channels"),                              \
+  CLI_OPTION(NUMBERS, mean_free_path, NULL, "1 / sigma_t'; a single value is for all channels"),   \
       CLI_OPTION(NUMBERS, diffuse_mean_free_path, NULL,                                            \
-                 "instead: 1 / (sigma_t' sqrt(3 a / (1 + a))), a = sigma_a / sigma_t', mm"),       \
-      CLI_OPTION(NUMBERS, classical_diffuse_path, NULL,                                            \
-                 "instead: 1 / sqrt(3 sigma_a sigma_t'), mm"),                                     \
+                 "instead: 1 / (sigma_t' sqrt(3 a / (1 + a))), a = sigma_a / sigma_t'"),           \
+      CLI_OPTION(NUMBERS, classical_diffuse_path, NULL, "instead: 1 / sqrt(3 sigma_a sigma_t')"),  \
       CLI_OPTION(NUMBERS, extinction_path, NULL,                                                   \
-                 "instead: 1 / (sigma_a + sigma_s), mm, which most renderers mean")
+                 "instead: 1 / (sigma_a + sigma_s), which most renderers mean"),                   \
+      CLI_UNIT_OPTION
 
 /* Options for the meaning of colours. */
 #define CLI_COLOUR_OPTIONS                                                                         \
@@ -71,6 +73,9 @@ double cli_srgb_to_linear(double value);
 /* Returns the one length that is given, and its name, which is that of the option and of the
  * daemon's choice. If none or several are given, says so and returns NULL. */
 const cli_numbers *cli_lengths_find(const cli_settings *settings, const char **name);
+
+/* Returns the millimetres of --unit. Reports an error and returns NAN if it is no unit. */
+double cli_unit_mm(const cli_settings *settings);
 
 /* Returns the evaluator that is taken if none is given: the table for transport, where it can be as
  * exact as the tolerance. model: NULL if none is named. */

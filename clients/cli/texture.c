@@ -435,9 +435,10 @@ static int take_settings(texture_run *run) {
 static void set_lengths(texture_run *run, uint64_t first, size_t count, size_t channels) {
   const char *name;
   const cli_numbers *lengths = cli_lengths_find(run->settings, &name);
+  const double unit_mm = cli_unit_mm(run->settings);
   for (size_t i = 0; i < count; i++) {
     const size_t channel = lengths->count == 1 ? 0 : (size_t)((first + i) % channels);
-    run->lengths_mm[i] = (float)lengths->items[channel];
+    run->lengths_mm[i] = (float)(unit_mm * lengths->items[channel]);
   }
 }
 

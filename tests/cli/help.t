@@ -55,13 +55,15 @@ Medium
                         from all directions (default: beam)
   --specular            the colours contain what the surface itself reflects (Fresnel)
   --mean-free-path X[,X...]
-                        1 / sigma_t', mm; a single value is for all channels
+                        1 / sigma_t'; a single value is for all channels
   --diffuse-mean-free-path X[,X...]
-                        instead: 1 / (sigma_t' sqrt(3 a / (1 + a))), a = sigma_a / sigma_t', mm
+                        instead: 1 / (sigma_t' sqrt(3 a / (1 + a))), a = sigma_a / sigma_t'
   --classical-diffuse-path X[,X...]
-                        instead: 1 / sqrt(3 sigma_a sigma_t'), mm
+                        instead: 1 / sqrt(3 sigma_a sigma_t')
   --extinction-path X[,X...]
-                        instead: 1 / (sigma_a + sigma_s), mm, which most renderers mean
+                        instead: 1 / (sigma_a + sigma_s), which most renderers mean
+  --unit NAME           unit of lengths: mm, cm, m, or the millimetres of a scene's unit (default:
+                        mm)
   --g X                 mean cosine of the scattering angle (default: 0)
   --eta X               refractive index inside over outside; 1: no interface (default: 1.3)
 

@@ -14,6 +14,15 @@ model,channel,wanted_albedo,given,length,sigma_a,sigma_s,g,eta,albedo,status
 better,1,0.25,mean-free-path,1,0.08006372314328833,4.599681384283559,0.8,1.4,0.25000000000000006,ok
 better,2,0.75,mean-free-path,2,0.001605803268234967,2.4919709836588253,0.8,1.4,0.7499999999999999,ok
 
+$ dipole invert --albedo 0.5 --extinction-path 0.1 --unit cm --model better --format csv
+model,channel,wanted_albedo,given,length,sigma_a,sigma_s,g,eta,albedo,status
+better,1,0.5,extinction-path,1,0.024414830545433575,0.9755851694545663,0,1.3,0.5000000000000001,ok
+
+$ dipole invert --albedo 0.5 --extinction-path 1 --unit inch
+! dipole invert: --unit: mm, cm, m, or a number of millimetres
+! `dipole invert --help` says more.
+? 2
+
 $ dipole invert --albedo 0.5 --diffuse-mean-free-path 1 --model better --format json
 {
   "software": "dipoled 0.1.0",
@@ -74,17 +83,17 @@ model,channel,wanted_albedo,given,length,sigma_a,sigma_s,g,eta,albedo,status
 better,1,0.5,extinction-path,1,0.02565594071782214,0.9743440592821778,0,1.3,0.49999999999999967,ok
 
 $ dipole invert
-! dipole invert: give --albedo, and --mean-free-path in mm
+! dipole invert: give --albedo, and --mean-free-path
 ! `dipole invert --help` says more.
 ? 2
 
 $ dipole invert --albedo 0.5
-! dipole invert: give exactly one of --mean-free-path, --diffuse-mean-free-path, --classical-diffuse-path and --extinction-path, in mm
+! dipole invert: give exactly one of --mean-free-path, --diffuse-mean-free-path, --classical-diffuse-path and --extinction-path
 ! `dipole invert --help` says more.
 ? 2
 
 $ dipole invert --albedo 0.5 --mean-free-path 1 --diffuse-mean-free-path 1
-! dipole invert: give exactly one of --mean-free-path, --diffuse-mean-free-path, --classical-diffuse-path and --extinction-path, in mm
+! dipole invert: give exactly one of --mean-free-path, --diffuse-mean-free-path, --classical-diffuse-path and --extinction-path
 ! `dipole invert --help` says more.
 ? 2
 

@@ -145,6 +145,10 @@ def test_float_images_and_random_walks(tmp_path, client):
     for more in ["--linear"], []:  # the PNG says that it is linear
         texture(tmp_path / "out.png", tmp_path / f"again{len(more)}.pfm", *more, *arguments)
     assert (tmp_path / "again0.pfm").read_bytes() == (tmp_path / "again1.pfm").read_bytes()
+    for name, length in ("mm", ["2"]), ("cm", ["0.2", "--unit", "cm"]):
+        more = ["--mean-free-path", *length, "--coefficients", "sigma_a", "--model", "better"]
+        texture(tmp_path / "in.pfm", tmp_path / f"{name}.pfm", *more)
+    assert (tmp_path / "mm.pfm").read_bytes() == (tmp_path / "cm.pfm").read_bytes()
     whole = (tmp_path / "in.pfm").read_bytes()
     for end in b"\r\n", b"\r":  # other ends of lines, and the least byte that may be one
         body = b"\n\0\0\x3f" + whole.split(b"\n", 3)[3][4:]
