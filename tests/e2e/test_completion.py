@@ -35,11 +35,14 @@ def test_bash_offers_every_command_and_option():
     assert complete("dipoled --") == options_of(DAEMON)
 
 
+SKINS = "skin-dark skin-light skin-medium skin1 skin2"
+
+
 @pytest.mark.parametrize(
     "line, cut, whole",
     [
-        ("dipole eval --medium skin", "skin1 skin2", "skin1 skin2"),
-        ("dipole eval --medium=skin", "skin1 skin2", "--medium=skin1 --medium=skin2"),
+        ("dipole eval --medium skin", SKINS, SKINS),
+        ("dipole eval --medium=skin", SKINS, " ".join(f"--medium={name}" for name in SKINS.split())),
         ("dipole eval --wanted R,al", "R,albedo", "R,albedo"),
         ("dipole info --connect t", "tcp: tls:", "tcp: tls:"),
         ("dipole points ", "", ""),
