@@ -30,10 +30,7 @@ static void check_promise(const core_choose_request *request, const core_candida
     core_parameters parameters = core_parameters_none();
     core_profile profile;
     parameters.value[CORE_PARAMETER_TOLERANCE] = candidate->numerical_tolerance;
-    unit_assert_fault(core_profile_prepare(&profile, core_isa_select(NULL), candidate->model,
-                                           CORE_MOMENTS_EXACT, candidate->evaluator,
-                                           &request->media[i], &parameters),
-                      NULL, 0);
+    profile = unit_profile(candidate->model, candidate->evaluator, &request->media[i], &parameters);
     const core_stated_errors errors =
         core_profile_errors(&profile, request->wanted, request->radii);
     const double stated = errors.numerical + errors.numerical_per_mm * request->radii.most_mm;
@@ -172,11 +169,8 @@ UNIT_TEST(what_the_table_does_not_keep_is_solved) {
   core_parameters parameters = core_parameters_none();
   parameters.value[CORE_PARAMETER_TOLERANCE] = choice.numerical_tolerance;
   assert_true(core_prepares_slowly(CORE_MODEL_TRANSPORT, CORE_EVALUATOR_F64, &tissue, &parameters));
-  core_profile profile;
-  unit_assert_fault(core_profile_prepare(&profile, core_isa_select(NULL), CORE_MODEL_TRANSPORT,
-                                         CORE_MOMENTS_EXACT, CORE_EVALUATOR_F64, &tissue,
-                                         &parameters),
-                    NULL, 0);
+  core_profile profile =
+      unit_profile(CORE_MODEL_TRANSPORT, CORE_EVALUATOR_F64, &tissue, &parameters);
   const core_stated_errors errors = core_profile_errors(&profile, request.wanted, request.radii);
   assert_true(errors.numerical + errors.numerical_per_mm * request.radii.most_mm <= choice.left);
   core_profile_free(&profile);

@@ -27,17 +27,6 @@ static core_fault prepare(core_profile *profile, unsigned model, unsigned evalua
                               medium, &taken);
 }
 
-static double value_of(const core_profile *profile, enum core_quantity quantity, double r) {
-  double value;
-  float narrow_r = (float)r, narrow;
-  if (profile->evaluator == CORE_EVALUATOR_F64) {
-    core_eval_f64(profile, quantity, 1, &r, &value);
-    return value;
-  }
-  core_eval_f32(profile, quantity, 1, &narrow_r, &narrow);
-  return (double)narrow;
-}
-
 /* Returns the error that a reply states for a derivative at r. */
 static double stated(const core_profile *profile, double r) {
   const core_stated_errors errors =
@@ -91,8 +80,8 @@ UNIT_TEST(derivatives_of_transport_are_those_of_its_solutions) {
     }
     solved(&media[m], RADII, r, by_a, X);
     for (size_t i = 0; i < RADII; i++) {
-      const double off_a = fabs(value_of(&profile, CORE_QUANTITY_BY_SIGMA_A, r[i]) - by_a[i]);
-      const double by_s = value_of(&profile, CORE_QUANTITY_BY_SIGMA_S, r[i]);
+      const double off_a = fabs(unit_value_at(&profile, CORE_QUANTITY_BY_SIGMA_A, r[i]) - by_a[i]);
+      const double by_s = unit_value_at(&profile, CORE_QUANTITY_BY_SIGMA_S, r[i]);
       const double off = fmax(off_a, fabs(by_s - (2 + X[i] - by_a[i])));
       worst = fmax(worst, off / stated(&profile, r[i]));
       if (!(off <= stated(&profile, r[i]))) {
@@ -133,10 +122,10 @@ UNIT_TEST(derivatives_of_equal_layers_sum_to_those_of_their_half_space) {
     for (int q = 0; q < 2; q++) {
       double sum = 0, error = stated(&whole, r);
       for (int i = 0; i < 2; i++) {
-        sum += value_of(&part[i], both[q], r);
+        sum += unit_value_at(&part[i], both[q], r);
         error += stated(&part[i], r);
       }
-      const double off = fabs(sum - value_of(&whole, both[q], r));
+      const double off = fabs(sum - unit_value_at(&whole, both[q], r));
       worst = fmax(worst, off / error);
       if (!(off <= error)) {
         fail_msg("quantity %d at %g mm: off by %.3g, stated %.3g", q, r, off, error);
@@ -170,7 +159,7 @@ UNIT_TEST(derivatives_of_layers_are_those_of_a_change_of_scale) {
     const double r = radii[k];
     double sum = 0, error = 0;
     for (int i = 0; i < 4; i++) {
-      sum += value_of(&by_layer[i / 2], both[i % 2], r);
+      sum += unit_value_at(&by_layer[i / 2], both[i % 2], r);
       error += stated(&by_layer[i / 2], r);
     }
     const double R[] = {solver_layers_at(solution[0], 0, r).value,
@@ -210,8 +199,8 @@ UNIT_TEST(ends_have_their_limits) {
           continue;
         }
         for (int k = 0; k < 2; k++) {
-          const double near = value_of(&profile, both[k], 0);
-          assert_true(isfinite(near) && value_of(&profile, both[k], (double)INFINITY) == 0);
+          const double near = unit_value_at(&profile, both[k], 0);
+          assert_true(isfinite(near) && unit_value_at(&profile, both[k], (double)INFINITY) == 0);
           assert_true(profile.albedo > 0 || near == 0);
           assert_true(media[i].sigma_a_per_mm > 0 || k > 0 || near == 0);
         }

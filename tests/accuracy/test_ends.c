@@ -9,17 +9,7 @@
 static core_profile prepared(unsigned model, core_medium medium, double tolerance) {
   core_parameters parameters = core_parameters_none();
   parameters.value[CORE_PARAMETER_TOLERANCE] = tolerance;
-  core_profile profile;
-  unit_assert_fault(core_profile_prepare(&profile, core_isa_select(NULL), model, CORE_MOMENTS_EXACT,
-                                         CORE_EVALUATOR_F64, &medium, &parameters),
-                    NULL, 0);
-  return profile;
-}
-
-static double value_of(const core_profile *profile, enum core_quantity quantity, double r) {
-  double value;
-  core_eval_f64(profile, quantity, 1, &r, &value);
-  return value;
+  return unit_profile(model, CORE_EVALUATOR_F64, &medium, &parameters);
 }
 
 static void assert_near(double value, double truth, double relative, const char *what, double r) {
@@ -48,7 +38,7 @@ UNIT_TEST(transport_without_absorption_is_the_solution) {
     const double most = fmin(30 / transport_kappa(albedo), 1e4);
     for (double x = 1e-6; x < most; x *= 1.3) {
       const double truth = sigma_t * sigma_t * isotropic_at(solution, x).R.value;
-      const double value = value_of(&profile, CORE_QUANTITY_R, x / sigma_t);
+      const double value = unit_value_at(&profile, CORE_QUANTITY_R, x / sigma_t);
       assert_near(value, truth, profile.numerical_error, "transport", x);
       worst = fmax(worst, fabs(value / truth - 1) / profile.numerical_error);
     }
@@ -64,9 +54,9 @@ UNIT_TEST(transport_without_absorption_falls_like_diffusion) {
   for (size_t t = 0; t < sizeof tolerances / sizeof tolerances[0]; t++) {
     core_profile profile =
         prepared(CORE_MODEL_TRANSPORT, (core_medium){0, 1, 0, 1.3}, tolerances[t]);
-    const double first = 1e12 * value_of(&profile, CORE_QUANTITY_R, 1e4);
+    const double first = 1e12 * unit_value_at(&profile, CORE_QUANTITY_R, 1e4);
     for (double x = 1e4; x < 1e12; x *= 10) {
-      assert_near(x * x * x * value_of(&profile, CORE_QUANTITY_R, x), first, 1e-6, "x^3 R", x);
+      assert_near(x * x * x * unit_value_at(&profile, CORE_QUANTITY_R, x), first, 1e-6, "x^3 R", x);
     }
     core_profile_free(&profile);
   }
@@ -82,7 +72,7 @@ static double integral_of_pdf(const core_profile *profile, double r) {
   for (int i = 0; i <= STEPS; i++) {
     const double at = r * exp(-step * i);
     const double weight = i == 0 || i == STEPS ? 1 : i % 2 ? 4 : 2;
-    sum += weight * at * value_of(profile, CORE_QUANTITY_PDF, at);
+    sum += weight * at * unit_value_at(profile, CORE_QUANTITY_PDF, at);
   }
   return sum * step / 3;
 }
@@ -92,7 +82,7 @@ UNIT_TEST(the_cdf_of_beam_is_the_integral_of_its_pdf) {
   for (size_t i = 0; i < sizeof media / sizeof media[0]; i++) {
     core_profile profile = prepared(CORE_MODEL_BEAM, media[i], (double)NAN);
     for (double x = 1e-12; x < 3e-7; x *= 2.7) {
-      assert_near(value_of(&profile, CORE_QUANTITY_CDF, x), integral_of_pdf(&profile, x), 1e-6,
+      assert_near(unit_value_at(&profile, CORE_QUANTITY_CDF, x), integral_of_pdf(&profile, x), 1e-6,
                   "the cdf of beam", x);
     }
     core_profile_free(&profile);
@@ -117,10 +107,10 @@ UNIT_TEST(next_to_the_source_the_error_is_not_known) {
 
 UNIT_TEST(extended_without_absorption_goes_on_falling) {
   core_profile profile = prepared(CORE_MODEL_EXTENDED, (core_medium){0, 1, 0, 1.3}, (double)NAN);
-  const double first = 1e36 * value_of(&profile, CORE_QUANTITY_R, 1e12);
+  const double first = 1e36 * unit_value_at(&profile, CORE_QUANTITY_R, 1e12);
   assert_true(first > 0);
   for (double x = 1e12; x < 2e25; x *= 3) {
-    assert_near(x * x * x * value_of(&profile, CORE_QUANTITY_R, x), first, 1e-9, "x^3 R", x);
+    assert_near(x * x * x * unit_value_at(&profile, CORE_QUANTITY_R, x), first, 1e-9, "x^3 R", x);
   }
   core_profile_free(&profile);
 }
@@ -152,10 +142,7 @@ UNIT_TEST(a_table_of_transport_far_away_with_eta_1) {
   isotropic_solution *solution;
   unit_assert_fault(isotropic_boundary_create(&boundary, medium.eta, 1e-8), NULL, 0);
   unit_assert_fault(isotropic_solve(&solution, boundary, 0.1), NULL, 0);
-  unit_assert_fault(core_profile_prepare(&table, core_isa_select(NULL), CORE_MODEL_TRANSPORT,
-                                         CORE_MOMENTS_EXACT, CORE_EVALUATOR_LUT, &medium,
-                                         &parameters),
-                    NULL, 0);
+  table = unit_profile(CORE_MODEL_TRANSPORT, CORE_EVALUATOR_LUT, &medium, &parameters);
   for (float r = 20; r < 29.8f; r *= 1.01f) {
     float R;
     core_eval_f32(&table, CORE_QUANTITY_R, 1, &r, &R);

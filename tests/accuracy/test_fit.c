@@ -331,9 +331,7 @@ static void compare_table(unsigned model, unsigned axis, double g) {
     const core_medium medium = {1.3 * ratios[i], 1.3 / (1 - g), g, design.eta};
     core_profile profile;
     double value[PLACES], modelled[PLACES];
-    unit_assert_fault(core_profile_prepare(&profile, core_isa_select(NULL), model,
-                                           CORE_MOMENTS_EXACT, CORE_EVALUATOR_F64, &medium, NULL),
-                      NULL, 0);
+    profile = unit_profile(model, CORE_EVALUATOR_F64, &medium, NULL);
     core_eval_f64(&profile, axis == CORE_FIT_AXIS_RADIUS ? CORE_QUANTITY_R : CORE_QUANTITY_TRANSFER,
                   PLACES, at, value);
     fit_model_readings(fit, medium.sigma_a_per_mm, 1.3, modelled);
@@ -399,10 +397,7 @@ UNIT_TEST(discs_have_the_mean_of_R) {
                                     {2, 0, 1},   {.5, .6, .4}, {.05, 1, 1.1}, {0, .2, 1}};
   static const core_medium media[] = {{.01, 1, 0, 1.4}, {1, 2, 0, 1.4}};
   for (size_t m = 0; m < 2; m++) {
-    core_profile profile;
-    unit_assert_fault(core_profile_prepare(&profile, core_isa_select(NULL), CORE_MODEL_BETTER,
-                                           CORE_MOMENTS_EXACT, CORE_EVALUATOR_F64, &media[m], NULL),
-                      NULL, 0);
+    core_profile profile = unit_profile(CORE_MODEL_BETTER, CORE_EVALUATOR_F64, &media[m], NULL);
     for (size_t i = 0; i < sizeof discs / sizeof discs[0]; i++) {
       double at[FIT_DISC_NODES], weight[FIT_DISC_NODES], R[FIT_DISC_NODES], sum = 0;
       const size_t n = fit_disc_nodes(discs[i][0], discs[i][1], discs[i][2], at, weight);
@@ -426,11 +421,8 @@ UNIT_TEST(a_disc_around_a_point_has_the_energy_within) {
   core_parameters parameters = core_parameters_none();
   parameters.value[CORE_PARAMETER_TOLERANCE] = 1e-3;
   for (size_t m = 0; m < 3; m++) {
-    core_profile profile;
-    unit_assert_fault(core_profile_prepare(&profile, core_isa_select(NULL), CORE_MODEL_TRANSPORT,
-                                           CORE_MOMENTS_EXACT, CORE_EVALUATOR_F64, &media[m],
-                                           &parameters),
-                      NULL, 0);
+    core_profile profile =
+        unit_profile(CORE_MODEL_TRANSPORT, CORE_EVALUATOR_F64, &media[m], &parameters);
     for (double diameter = .02; diameter < 10; diameter *= 3) {
       double at[FIT_DISC_NODES], weight[FIT_DISC_NODES], R[FIT_DISC_NODES], sum = 0, within;
       const double radius = 0.5 * diameter;

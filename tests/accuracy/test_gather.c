@@ -399,10 +399,7 @@ static double half_plane(const core_profile *profile, double x_mm) {
 
 UNIT_TEST(sheets_of_light_converge_to_the_albedo_and_half_planes_to_a_quadrature) {
   const core_medium medium = {0.17, 0.88, 0, 1.3};
-  core_profile profile;
-  unit_assert_fault(core_profile_prepare(&profile, core_isa_select(NULL), CORE_MODEL_BETTER,
-                                         CORE_MOMENTS_EXACT, CORE_EVALUATOR_F64, &medium, NULL),
-                    NULL, 0);
+  core_profile profile = unit_profile(CORE_MODEL_BETTER, CORE_EVALUATOR_F64, &medium, NULL);
   double sheet_before = 1, edge_before = 1;
   const double expected = half_plane(&profile, 0.7);
   for (size_t per_side = 60; per_side <= 480; per_side *= 2) {

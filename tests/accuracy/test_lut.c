@@ -93,9 +93,7 @@ static void with_every_pair(pair_test *test) {
 
 static double model_value(const struct pair *pair, enum core_quantity quantity, float r) {
   const double radius = (double)r;
-  double value;
-  core_eval_f64(pair->model, quantity, 1, &radius, &value);
-  return value;
+  return unit_value_at(pair->model, quantity, radius);
 }
 
 static float table_value(const struct pair *pair, enum core_quantity quantity, float r) {

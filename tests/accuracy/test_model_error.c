@@ -15,11 +15,7 @@ static core_medium medium_of(double ratio, double g, double eta) {
 
 static core_profile prepared_with(unsigned model, unsigned evaluator, core_medium medium,
                                   const core_parameters *parameters) {
-  core_profile profile;
-  unit_assert_fault(core_profile_prepare(&profile, core_isa_select(NULL), model, CORE_MOMENTS_EXACT,
-                                         evaluator, &medium, parameters),
-                    NULL, 0);
-  return profile;
+  return unit_profile(model, evaluator, &medium, parameters);
 }
 
 static core_profile prepared(unsigned model, unsigned evaluator, core_medium medium) {
@@ -39,19 +35,6 @@ static double error_between(const core_profile *profile, const core_profile *rul
 
 /* ---- what is computed ------------------------------------------------------------------------ */
 
-static double value_at(const core_profile *profile, enum core_quantity quantity, double r) {
-  double value;
-  if (profile->evaluator == CORE_EVALUATOR_F64) {
-    core_eval_f64(profile, quantity, 1, &r, &value);
-  } else {
-    const float r_f32 = (float)r;
-    float value_f32;
-    core_eval_f32(profile, quantity, 1, &r_f32, &value_f32);
-    value = (double)value_f32;
-  }
-  return value;
-}
-
 /* The better dipole for red skin at 1 mm: it is off by 1.4 %. */
 UNIT_TEST(the_better_dipole_is_off_by_what_is_said) {
   const core_medium red = core_measured_medium_by_name("skin1")->channel[0];
@@ -62,8 +45,8 @@ UNIT_TEST(the_better_dipole_is_off_by_what_is_said) {
   core_profile ruler = ruler_of(red);
   const double r = 1;
   const core_requested_radii asked = {{CORE_SPACING_LIST, 1, 0, 0}, &r, {r, r}, {0, 0}};
-  const double off =
-      fabs(value_at(&better, CORE_QUANTITY_R, r) / value_at(&truth, CORE_QUANTITY_R, r) - 1);
+  const double off = fabs(
+      unit_value_at(&better, CORE_QUANTITY_R, r) / unit_value_at(&truth, CORE_QUANTITY_R, r) - 1);
   const double stated = core_model_error(&better, &ruler, CORE_QUANTITY_R, &asked);
   printf("off by %.4f, stated %.4f\n", off, stated);
   assert_true(off > 0.013 && off < 0.015);
@@ -99,7 +82,7 @@ UNIT_TEST(errors_hold_against_the_solver) {
       core_model_errors_at(&profile, &ruler, CORE_QUANTITY_R, LISTED, r, error);
       for (size_t i = 0; i < LISTED; i++) {
         const transport_number R = solver_at(solution, k, r[i]);
-        const double off = fabs(value_at(&profile, CORE_QUANTITY_R, r[i]) / R.value - 1);
+        const double off = fabs(unit_value_at(&profile, CORE_QUANTITY_R, r[i]) / R.value - 1);
         if (!(off <= error[i] + (1 + off) * 2 * R.error / R.value)) {
           fail_msg("model %u, eta %g, r %g: off by %.5g, stated %.5g", models[m], etas[k], r[i],
                    off, error[i]);
@@ -199,20 +182,13 @@ UNIT_TEST(it_is_known_where_transport_is) {
 /* ---- phase functions of which gamma is known ------------------------------------------------- */
 
 static core_profile prepared_with_gamma(core_medium medium, double gamma) {
-  core_profile profile;
   core_parameters parameters = core_parameters_none();
   parameters.value[CORE_PARAMETER_GAMMA] = gamma;
-  unit_assert_fault(core_profile_prepare(&profile, core_isa_select(NULL), CORE_MODEL_TRANSPORT,
-                                         CORE_MOMENTS_EXACT, CORE_EVALUATOR_F64, &medium,
-                                         &parameters),
-                    NULL, 0);
-  return profile;
+  return unit_profile(CORE_MODEL_TRANSPORT, CORE_EVALUATOR_F64, &medium, &parameters);
 }
 
 static double R_at(const core_profile *profile, double r_mm) {
-  double R;
-  core_eval_f64(profile, CORE_QUANTITY_R, 1, &r_mm, &R);
-  return R;
+  return unit_value_at(profile, CORE_QUANTITY_R, r_mm);
 }
 
 /* Without another phase function gamma changes nothing, but nothing tells that there is none. */

@@ -23,12 +23,6 @@ static core_profile prepared(unsigned model, unsigned moments, core_medium mediu
   return profile;
 }
 
-static double value_of(const core_profile *profile, enum core_quantity quantity, double r) {
-  double value;
-  core_eval_f64(profile, quantity, 1, &r, &value);
-  return value;
-}
-
 static double albedo_of(unsigned model, core_medium medium, const core_parameters *parameters) {
   core_profile profile = prepared(model, CORE_MOMENTS_EXACT, medium, parameters);
   const double albedo = profile.albedo;
@@ -78,8 +72,8 @@ UNIT_TEST(a_fit_keeps_its_stated_error) {
       assert_true(count < 10 || fit.numerical_error < 0.02);
       for (int i = 0; i < 2000; i++) {
         const double r = unit_random_log(&random, 0.05, 8);
-        assert_near(value_of(&fit, CORE_QUANTITY_R, r), value_of(&model, CORE_QUANTITY_R, r),
-                    fit.numerical_error, "a fit");
+        assert_near(unit_value_at(&fit, CORE_QUANTITY_R, r),
+                    unit_value_at(&model, CORE_QUANTITY_R, r), fit.numerical_error, "a fit");
       }
       core_profile_free(&fit);
       core_profile_free(&model);
@@ -113,8 +107,8 @@ UNIT_TEST(the_bssrdf_gives_out_what_R_says) {
       const double s = (i + 0.5) / STEPS;
       parameters.value[CORE_PARAMETER_COS_OUT] = s * s;
       core_profile profile = prepared(CORE_MODEL_BETTER, CORE_MOMENTS_EXACT, medium, &parameters);
-      R = value_of(&profile, CORE_QUANTITY_R, 0.5);
-      sum += value_of(&profile, CORE_QUANTITY_S, 0.5) * 2 * pi * s * s * 2 * s / STEPS;
+      R = unit_value_at(&profile, CORE_QUANTITY_R, 0.5);
+      sum += unit_value_at(&profile, CORE_QUANTITY_S, 0.5) * 2 * pi * s * s * 2 * s / STEPS;
     }
     assert_near(sum, core_fresnel_transmittance(eta, 0.9) * R, 3e-4, "the light that leaves");
   }

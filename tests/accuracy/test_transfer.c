@@ -9,18 +9,12 @@
 static const double pi = 3.14159265358979323846;
 
 static core_profile prepared(unsigned model, unsigned evaluator, core_medium medium) {
-  core_profile profile;
   const core_medium needed = unit_medium(model, &medium);
-  unit_assert_fault(core_profile_prepare(&profile, core_isa_select(NULL), model, CORE_MOMENTS_EXACT,
-                                         evaluator, &needed, NULL),
-                    NULL, 0);
-  return profile;
+  return unit_profile(model, evaluator, &needed, NULL);
 }
 
 static double transfer(const core_profile *profile, double f) {
-  double value;
-  core_eval_f64(profile, CORE_QUANTITY_TRANSFER, 1, &f, &value);
-  return value;
+  return unit_value_at(profile, CORE_QUANTITY_TRANSFER, f);
 }
 
 static void assert_within(double value, double truth, double allowed, const char *what, double f) {

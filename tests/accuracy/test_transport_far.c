@@ -79,10 +79,7 @@ static double named(const struct truth *truth, unsigned evaluator, double tolera
   core_profile profile;
   double most = 0;
   parameters.value[CORE_PARAMETER_TOLERANCE] = tolerance;
-  unit_assert_fault(core_profile_prepare(&profile, core_isa_select(NULL), CORE_MODEL_TRANSPORT,
-                                         CORE_MOMENTS_EXACT, evaluator, &truth->medium,
-                                         &parameters),
-                    NULL, 0);
+  profile = unit_profile(CORE_MODEL_TRANSPORT, evaluator, &truth->medium, &parameters);
   for (size_t i = 0; i < REQUESTS; i++) {
     size_t first, last;
     const core_radii_range radii = draw_range(truth, &first, &last, random);
@@ -112,10 +109,7 @@ static double chosen(const struct truth *truth, uint64_t *random, size_t *promis
     return 0;
   }
   parameters.value[CORE_PARAMETER_TOLERANCE] = candidates[0].numerical_tolerance;
-  unit_assert_fault(core_profile_prepare(&profile, core_isa_select(NULL), candidates[0].model,
-                                         CORE_MOMENTS_EXACT, candidates[0].evaluator,
-                                         &truth->medium, &parameters),
-                    NULL, 0);
+  profile = unit_profile(candidates[0].model, candidates[0].evaluator, &truth->medium, &parameters);
   const double most = excess(&profile, truth, first, last, request.tolerance);
   core_profile_free(&profile);
   *promises += 1;

@@ -13,12 +13,8 @@
 
 static core_profile prepare(const core_medium *medium, unsigned evaluator, double tolerance) {
   core_parameters parameters = core_parameters_none();
-  core_profile profile;
   parameters.value[CORE_PARAMETER_TOLERANCE] = tolerance;
-  unit_assert_fault(core_profile_prepare(&profile, core_isa_select(NULL), CORE_MODEL_TRANSPORT,
-                                         CORE_MOMENTS_EXACT, evaluator, medium, &parameters),
-                    NULL, 0);
-  return profile;
+  return unit_profile(CORE_MODEL_TRANSPORT, evaluator, medium, &parameters);
 }
 
 static double stated(const core_profile *profile, unsigned wanted, double least, double most) {
@@ -324,11 +320,8 @@ UNIT_TEST(quantities_are_integrals_of_the_solvers_R) {
     parameters.value[CORE_PARAMETER_COS_IN] = 0.8;
     parameters.value[CORE_PARAMETER_COS_OUT] = 0.9;
     for (size_t i = 0; i < sizeof evaluators / sizeof evaluators[0]; i++) {
-      core_profile profile;
-      unit_assert_fault(core_profile_prepare(&profile, core_isa_select(NULL), CORE_MODEL_TRANSPORT,
-                                             CORE_MOMENTS_EXACT, evaluators[i], &medium,
-                                             &parameters),
-                        NULL, 0);
+      core_profile profile =
+          unit_profile(CORE_MODEL_TRANSPORT, evaluators[i], &medium, &parameters);
       check_energies(&profile, &within, total, &worst);
       check_densities(&profile, solution, eta, total, &worst);
       check_transform(&profile, solution, total, &worst);

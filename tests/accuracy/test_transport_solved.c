@@ -26,11 +26,8 @@ static core_profile prepared(double ratio, double g, double eta, bool derivative
   parameters.value[CORE_PARAMETER_TOLERANCE] = 1e-2;
   parameters.value[CORE_PARAMETER_DERIVATIVES] = derivatives ? 1 : (double)NAN;
   assert_false(core_transport_is_stored(&medium));
-  core_profile profile;
-  unit_assert_fault(core_profile_prepare(&profile, core_isa_select(NULL), CORE_MODEL_TRANSPORT,
-                                         CORE_MOMENTS_EXACT, CORE_EVALUATOR_F64, &medium,
-                                         &parameters),
-                    NULL, 0);
+  core_profile profile =
+      unit_profile(CORE_MODEL_TRANSPORT, CORE_EVALUATOR_F64, &medium, &parameters);
   assert_true((profile.notes & CORE_NOTE_SIMILARITY) == 0);
   return profile;
 }

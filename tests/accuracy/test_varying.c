@@ -162,10 +162,7 @@ UNIT_TEST(dipoles_and_burley_are_within_the_stated_error) {
       value.sigma_a =
           dipoles[m] == CORE_MODEL_BURLEY_DMFP ? fmax(value.sigma_a, 1e-9) : value.sigma_a;
       const core_medium medium = {value.sigma_a, value.sigma_s, g, eta};
-      core_profile profile;
-      unit_assert_fault(core_profile_prepare(&profile, core_isa_select(NULL), dipoles[m],
-                                             CORE_MOMENTS_EXACT, CORE_EVALUATOR_F64, &medium, NULL),
-                        NULL, 0);
+      core_profile profile = unit_profile(dipoles[m], CORE_EVALUATOR_F64, &medium, NULL);
       worst = fmax(worst, compare(&f64, &f32, &value, &profile));
       double u;
       const double r = sample(&f64, &value), r_f32 = sample(&f32, &value);
@@ -183,11 +180,7 @@ UNIT_TEST(dipoles_and_burley_are_within_the_stated_error) {
 
 /* A profile of transport from the table of solutions. */
 static core_profile tabulated(const core_medium *medium) {
-  core_profile profile;
-  unit_assert_fault(core_profile_prepare(&profile, core_isa_select(NULL), CORE_MODEL_TRANSPORT,
-                                         CORE_MOMENTS_EXACT, CORE_EVALUATOR_F64, medium, NULL),
-                    NULL, 0);
-  return profile;
+  return unit_profile(CORE_MODEL_TRANSPORT, CORE_EVALUATOR_F64, medium, NULL);
 }
 
 UNIT_TEST(transport_is_within_its_tolerance) {
@@ -349,10 +342,7 @@ static struct solved solve(uint64_t *random, bool isotropic) {
   const double eta = unit_random_between(random, 0.7, 2.2);
   struct solved solved = {.medium = {ratio / (1 + ratio), 1 / (1 + ratio) / (1 - g), g, eta}};
   if (isotropic) {
-    unit_assert_fault(core_profile_prepare(&solved.profile, core_isa_select(NULL),
-                                           CORE_MODEL_TRANSPORT, CORE_MOMENTS_EXACT,
-                                           CORE_EVALUATOR_F64, &solved.medium, NULL),
-                      NULL, 0);
+    solved.profile = unit_profile(CORE_MODEL_TRANSPORT, CORE_EVALUATOR_F64, &solved.medium, NULL);
   } else {
     const solver_phase phase = {g, 0, NULL};
     unit_assert_fault(
@@ -421,10 +411,7 @@ UNIT_TEST(transport_without_absorption_is_continued_to_the_limit) {
   core_varying varying = prepare(CORE_MODEL_TRANSPORT, CORE_EVALUATOR_F64, 0, 1.4, NULL);
   const struct value value = {0, 1, 3, 0.5};
   const core_medium medium = {0, 1, 0, 1.4};
-  core_profile profile;
-  unit_assert_fault(core_profile_prepare(&profile, core_isa_select(NULL), CORE_MODEL_TRANSPORT,
-                                         CORE_MOMENTS_EXACT, CORE_EVALUATOR_F64, &medium, NULL),
-                    NULL, 0);
+  core_profile profile = unit_profile(CORE_MODEL_TRANSPORT, CORE_EVALUATOR_F64, &medium, NULL);
   compare(&varying, NULL, &value, &profile);
   core_profile_free(&profile);
   core_varying_free(&varying);
@@ -434,10 +421,7 @@ UNIT_TEST(transport_without_absorption_is_continued_to_the_limit) {
 
 /* The albedo of a medium under the model itself: for g = 0, transport is solved. */
 static double albedo_of(unsigned model, const core_medium *medium) {
-  core_profile profile;
-  unit_assert_fault(core_profile_prepare(&profile, core_isa_select(NULL), model, CORE_MOMENTS_EXACT,
-                                         CORE_EVALUATOR_F64, medium, NULL),
-                    NULL, 0);
+  core_profile profile = unit_profile(model, CORE_EVALUATOR_F64, medium, NULL);
   const double albedo = profile.albedo;
   core_profile_free(&profile);
   return albedo;

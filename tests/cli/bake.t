@@ -102,3 +102,50 @@ $ dipole bake colour-map --size 16 --format spi1d --eta 1.5 --light furnace
 ! dipole bake: --light: 'furnace' is unknown; this daemon has beam, diffuse
 ! `dipole bake --help` says more.
 ? 2
+
+$ for one in kernel 'halo --medium skin1' 'kernel --medium skin1 --taps 12' 'gaussians --medium skin1 --count 13' 'burley --medium skin1 --thickness 2' 'kernel --medium skin1 --range 0' 'colour-map --size 2' 'lut --medium skin1 --size 129' 'profile --medium skin1 --range 1,2,3'; do dipole bake $one || echo $?; done
+2
+2
+2
+2
+2
+2
+2
+2
+2
+! dipole bake: give --medium NAME, or --sigma-a and --sigma-s
+! `dipole bake --help` says more.
+! dipole bake: give a KIND: kernel, burley, gaussians, lut, profile, colour-map or formula
+! `dipole bake --help` says more.
+! dipole bake: --taps: an odd number from 11 to 33
+! `dipole bake --help` says more.
+! dipole bake: --count: 2 to 12
+! `dipole bake --help` says more.
+! dipole bake: --thickness: no such option
+! `dipole bake --help` says more.
+! dipole bake: --range: more than 0, up to 1e+06 mm
+! `dipole bake --help` says more.
+! dipole bake: --size: of colour-map, 16 to 4096
+! `dipole bake --help` says more.
+! dipole bake: --size: of lut, 16 to 128
+! `dipole bake --help` says more.
+! dipole bake: --range: one for all channels, or of kernel one for each of three
+! `dipole bake --help` says more.
+
+$ for one in 'kernel --medium skin1 --format cube' 'formula --format cube' 'lut --medium skin1 --format osl' 'burley --medium skin1 --format pfm'; do dipole bake $one || echo $?; done
+2
+2
+2
+2
+! dipole bake: --format cube: kernel has c,hlsl,csv,json
+! `dipole bake --help` says more.
+! dipole bake: --format cube: formula has c,glsl,hlsl,osl,python
+! `dipole bake --help` says more.
+! dipole bake: --format osl: lut has c,csv,json,pfm,png
+! `dipole bake --help` says more.
+! dipole bake: --format pfm: burley has c,csv,json
+! `dipole bake --help` says more.
+
+$ dipole bake burley --sigma-a 1 --sigma-s 0
+! dipole bake: channel 1: it does not scatter: no light leaves beside where it entered
+? 1

@@ -139,3 +139,11 @@ $ dipole convert --from openpbr --colour .5 --length 1 --to gltf --format native
 $ dipole convert --from openpbr --colour .00001 --length 1
 ! dipole convert: --colour: channel 1: no medium has the colour 1e-05 and the length
 ? 1
+
+$ echo '{}' > x; dipole convert --from coefficients --medium skin1 --thickness 2 --to openpbr || echo $?; dipole convert --from unity x || echo $?
+2
+1
+! dipole convert: --thickness: no such option
+! `dipole convert --help` says more.
+! dipole convert: x: files are read --from openpbr, materialx, standard-surface, gltf, gltf-volume-scatter and pbrt
+! `dipole convert --help` says more.

@@ -39,3 +39,17 @@ a,fitted
 $ printf 'sample,r,R,error,,\na,1,.0234,.0005,,\na,2,.00787,.0002\na,4,.00159,.00003\n' | dipole fit --model better --eta 1.4 --format csv | cut -d, -f1,17
 sample,status
 a,fitted
+
+## Line ends, a byte order mark, cells in quotes and bytes that are no text stay as they are.
+$ printf 'sigma_a,sigma_s,g,eta,r\r\n0.01,1,0,1.4,2\r\n\r\n0.01,1,0,1.4,2\n' | dipole points | cat -A
+sigma_a,sigma_s,g,eta,r,R,albedo,cdf,status^M$
+0.01,1,0,1.4,2,0.0076295505,0.6222119489494612,0.44686064,ok^M$
+^M$
+0.01,1,0,1.4,2,0.0076295505,0.6222119489494612,0.44686064,ok$
+
+$ printf '\357\273\277note,sigma_a,sigma_s,g,eta,r\n"two\nlines, # and ""quotes""",0.01,1,0,1.4,2\n"",0.01,1,0,1.4,2\n\377\000\376,0.01,1,0,1.4,2\n' | dipole points | cat -A
+M-oM-;M-?note,sigma_a,sigma_s,g,eta,r,R,albedo,cdf,status$
+"two$
+lines, # and ""quotes""",0.01,1,0,1.4,2,0.0076295505,0.6222119489494612,0.44686064,ok$
+"",0.01,1,0,1.4,2,0.0076295505,0.6222119489494612,0.44686064,ok$
+M-^?^@M-~,0.01,1,0,1.4,2,0.0076295505,0.6222119489494612,0.44686064,ok$

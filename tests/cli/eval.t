@@ -427,3 +427,51 @@ transport,1,"2,5,0.8,1.4,0.05 0.1,10,0.8,1.33",2,0.00322...,0.268918...,0,f64,
 $ dipole table --layer 2,5,0.8,1.4,0.05 --layer 0.1,10,0.8,1.33 --tolerance 0.1 --output layers.dt > /dev/null; dipole eval --table layers.dt --r 1 --format csv
 model,channel,layers,r,R,albedo,numerical_error,model_error,evaluator,notes
 transport,1,"2,5,0.8,1.4,0.05 0.1,10,0.8,1.33",1,0.018...,0.268...,0,lut,
+
+$ dipole eval --model better --sigma-a 0 --sigma-s 1 --r 1,1.,.5,+2,1E3,1e+3,1e-400,inf,Infinity,0.1000000000000000055511151231257827
+moments exact, R in 1/mm^2 per unit of power that entered
+
+          better
+   r         R 1
+  mm      1/mm^2
+----  ----------
+   1  2.6974e-02
+   1  2.6974e-02
+ 0.5  4.3194e-02
+   2  1.1273e-02
+1000  4.0749e-10
+1000  4.0749e-10
+   0  5.4591e-02
+ inf  0.0000e+00
+ inf  0.0000e+00
+ 0.1  5.4015e-02
+
+model   channel  sigma_a  sigma_s  g  eta  albedo  numerical error  model error  evaluator  notes
+                    1/mm     1/mm               1
+------  -------  -------  -------  -  ---  ------  ---------------  -----------  ---------  -----
+better  1              0        1  0  1.3       1          1.8e-15      8.8e-01        f64
+numerical error: at most, against the model's formula, up to r = 1000 mm
+model error: the largest, of the model against radiative transport, at r > 0: transport diverges at r = 0
+errors are relative, but of ln R and its derivatives absolute, as the cdf's model error is, and
+of R_f over the albedo
+per unit of power launched: values times 1 - ((eta - 1) / (eta + 1))^2 = 0.982987 (eta 1.3)
+
+$ dipole eval --model transport --sigma-a 0.01 --sigma-s 10 --g 0.9 --eta 1.4 --from 1 --to 4 --deadline-ms 1; dipole eval --sigma-a 0.01 --sigma-s 10 --count 2 --deadline-ms 4294967295 --format csv
+model,channel,sigma_a,sigma_s,g,eta,r,R,albedo,numerical_error,model_error,evaluator,notes
+transport,1,0.01,10,0,1.3,0,inf,0.8716417198319318,8.569430525667954e-5,0,lut,
+transport,1,0.01,10,0,1.3,10,1.0940608e-6,0.8716417198319318,8.569430525667954e-5,0,lut,
+! dipole eval: deadline: the reply would come later than the deadline: deadline_ms: allowed: more milliseconds, or 0 for no limit (--deadline-ms)
+
+$ for one in '--tolerance 1e-9' '--tolerance 2' '--tolerance .1 --eta 0' '--tolerance .1 --r 1,-1' '--tolerance .1 --from 3 --to 1' '--tolerance 1e-5 --wanted ln_R --g .9'; do dipole eval --sigma-a .032 --sigma-s .74 $one || echo $?; done
+1
+1
+1
+1
+1
+1
+! dipole eval: bad-value: tolerance: allowed: at least ... (best: transport, f64) (--tolerance)
+! dipole eval: bad-value: tolerance: allowed: 1e-12 to 1 (--tolerance)
+! dipole eval: bad-value: eta: allowed: 0.001 to 1000 (--eta)
+! dipole eval: bad-value: r number 2 of 2: allowed: 0 to infinity, in mm (--r)
+! dipole eval: bad-value: radius_stop: allowed: at least radius_start, finite (--to)
+! dipole eval: bad-value: tolerance: allowed: at least ... (best: transport, f64) (--tolerance)

@@ -142,3 +142,12 @@ $ for text in '' 'r,R,error\n' 'R,error\n1,1\n' 'r,f,R,error\n1,1,1,1\n' 'r,R\n1
 ! dipole fit: standard input: the column thickness is of no medium that can be fitted: those are half spaces that scatter by Henyey-Greenstein's function
 ! dipole fit: standard input: the column phase_g is of no medium that can be fitted: those are half spaces that scatter by Henyey-Greenstein's function
 ? 1
+
+## Names that are no UTF-8; the order of lines, and columns that are not read.
+$ printf 'sample,r,R,error\n"a\377\300\257\355\240\200\365 b\303\244\360\237\230\200",.5,.02,.0004\n"a\377\300\257\355\240\200\365 b\303\244\360\237\230\200",1,.006,.0001\n"a\377\300\257\355\240\200\365 b\303\244\360\237\230\200",2,.001,.00002\n' | dipole fit --model better --eta 1.4 --format json | grep -o '"sample": "[^"]*"'
+"sample": "a\ufffd\ufffd\ufffd\ufffd\ufffd\ufffd\ufffd bä😀"
+! dipole fit: standard input: 1 of 1 samples were not fitted: see the column status
+
+$ printf 'sample,r,R,error\na,.5,.02,.0004\na,1,.006,.0001\na,2,.001,.00002\nb,.5,.03,.0004\nb,1,.009,.0001\nb,2,.0015,.00002\n' | dipole fit --model better --eta 1.4 --format csv > x; printf '# a comment\r\nwho,error,R,comment,r,sample\r\n\r\nme,.0004,.02,"odd, ""quoted""",.5,a\r\nme,.0004,.03,,.5,b\r\nme,.0001,.006,,1,a\r\nme,.0001,.009,,1,b\r\nme,.00002,.001,,2,a\r\nme,.00002,.0015,,2,b\r\n' | dipole fit --model better --eta 1.4 --format csv | cmp - x
+! dipole fit: standard input: 2 of 2 samples were not fitted: see the column status
+! dipole fit: standard input: 2 of 2 samples were not fitted: see the column status

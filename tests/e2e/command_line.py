@@ -18,7 +18,6 @@ import threading
 import time
 from pathlib import Path
 
-import pytest
 from daemons import BUILD, environment
 from dipole import wire
 from frames import EVAL, frame
@@ -70,20 +69,6 @@ def dipole(
     if status == OK and quiet:
         assert text.stderr == ""
     return text
-
-
-def says(status: int, command: list[str], cases: list[tuple[list[str], str]]):
-    """Returns a test. For each case it runs a command with the arguments, and checks the exit
-    status, that standard error has the text, and that standard output is empty. After wrong usage
-    standard error must also mention the help."""
-
-    @pytest.mark.parametrize("arguments, said", cases)
-    def test(arguments, said):
-        run = dipole(*command, *arguments, status=status)
-        assert said in run.stderr and run.stdout == ""
-        assert status != USAGE or "help" in run.stderr
-
-    return test
 
 
 def eval_rows(*arguments: str, quiet: bool = True) -> list[dict[str, str]]:

@@ -237,21 +237,6 @@ def test_a_map_of_colours_shows_them(client, light, g, eta, tmp_path):
     assert found == pytest.approx(stated, rel=0.1, abs=3e-5)
 
 
-@pytest.mark.parametrize("arguments, says", [
-    (["kernel"], "--medium"), (["halo", "--medium", "skin1"], "KIND"), (["kernel", "--medium", "skin1", "--taps", "12"], "odd"),
-    (["gaussians", "--medium", "skin1", "--count", "13"], "2 to 12"),
-    (["burley", "--medium", "skin1", "--thickness", "2"], "no such option"),
-    (["kernel", "--medium", "skin1", "--range", "0"], "more than 0"), (["colour-map", "--size", "2"], "16 to"),
-    (["kernel", "--medium", "skin1", "--format", "cube"], "kernel has c,hlsl,csv,json"),
-    (["formula", "--format", "cube"], "python"), (["lut", "--medium", "skin1", "--format", "osl"], "lut has"),
-    (["burley", "--medium", "skin1", "--format", "pfm"], "burley has"),
-    (["lut", "--medium", "skin1", "--size", "129"], "16 to 128"),
-    (["profile", "--medium", "skin1", "--range", "1,2,3"], "one for all"),
-])  # fmt: skip
-def test_wrong_command_lines(arguments, says):
-    assert says in dipole("bake", *arguments, status=2).stderr
-
-
 def scattered(light: str):
     """The function that `dipole bake formula` writes, and the error that it states."""
     text = dipole("bake", "formula", "--light", light, "--format", "python").stdout
@@ -304,7 +289,3 @@ def test_the_document_has_the_constants():
             if line.startswith(("beam, ", "diffuse, "))]
     assert [one for row in told for one in row[1:]] == [one for one in listed if one not in (told[0][0], told[3][0])]
     assert {row[0] for row in told} <= set(listed) and len(listed) == 2 * 19
-
-
-def test_a_medium_that_does_not_scatter_is_refused():
-    assert "does not scatter" in dipole("bake", "burley", "--sigma-a", "1", "--sigma-s", "0", status=1).stderr

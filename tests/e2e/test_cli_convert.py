@@ -158,14 +158,3 @@ def test_broken_files_are_refused(tmp_path, name):
         (tmp_path / "part").write_text(text[:length])
         dipole("convert", "--from", name, str(tmp_path / "part"), status=status)
     assert "cannot read" in dipole("convert", "--from", name, str(tmp_path / "none"), status=1).stderr
-
-
-def test_a_slab_has_no_convention():
-    slab = ["--medium", "skin1", "--thickness", "2"]
-    refused = dipole("convert", "--from", "coefficients", *slab, "--to", "openpbr", status=2)
-    assert "no such option" in refused.stderr
-
-
-def test_a_convention_without_files(tmp_path):
-    (tmp_path / "x").write_text("{}")
-    assert "files are read" in dipole("convert", "--from", "unity", str(tmp_path / "x"), status=1).stderr

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import math
-
 import pytest
-from command_line import FAILED, Proxy, dipole, eval_json, eval_rows
+from command_line import Proxy, dipole, eval_json
 from daemons import read_log_line
 
 MEDIUM = ["--sigma-a", "0.01,0.1", "--sigma-s", "10", "--g", "0.9", "--eta", "1.4"]
@@ -21,17 +19,6 @@ def test_a_large_grid_comes_in_parts(daemon, evaluator):
     whole = dipole("eval", "--format", "csv", *arguments).stdout
     assert whole == dipole("eval", "--format", "csv", *arguments, "--connect", small).stdout
     assert whole.count("\n") == 1 + 2 * 20000
-
-
-def test_a_deadline():
-    slow = [*MEDIUM, "--from", "1", "--to", "4", "--model", "transport"]
-    run = dipole("eval", *slow, "--deadline-ms", "1", status=FAILED)
-    assert run.stdout == ""
-    assert run.stderr.endswith("more milliseconds, or 0 for no limit (--deadline-ms)\n")
-    assert "deadline: " in run.stderr
-    for enough in ("0", "100000", "4294967295"):
-        arguments = [*MEDIUM, "--count", "3", "--deadline-ms", enough]
-        assert eval_rows(*arguments) == eval_rows(*MEDIUM, "--count", "3")
 
 
 def test_the_daemon_is_named_by_option_or_environment(daemon):
@@ -62,13 +49,3 @@ def test_a_connection_that_is_lost(daemon):
     assert run.stdout == ""
     said = f"the daemon, or a proxy, closed the connection at {proxy.url} without a reason"
     assert said in run.stderr
-
-
-@pytest.mark.parametrize(
-    "written, read",
-    [("1", 1), ("1.", 1), (".5", 0.5), ("+2", 2), ("1E3", 1000), ("1e+3", 1000), ("1e-400", 0)]
-    + [("inf", math.inf), ("Infinity", math.inf), ("0.1000000000000000055511151231257827", 0.1)],
-)
-def test_notations_that_are_read(written, read):
-    rows = eval_rows("--sigma-a", "0", "--sigma-s", "1", "--r", written)
-    assert float(rows[0]["r"]) == read

@@ -28,10 +28,6 @@ def lines(name: str, R: np.ndarray, at=AT_MM, error: float = 0.01) -> str:
     return "".join(f"{name},{r!r},{v!r},{error * v!r}\n" for r, v in zip(at.tolist(), R.tolist()))
 
 
-def table_of(readings: dict[str, np.ndarray]) -> str:
-    return "sample,r,R,error\n" + "".join(lines(name, R) for name, R in readings.items())
-
-
 def rows(text: str) -> list[dict[str, str]]:
     return list(csv.DictReader(io.StringIO(text)))
 
@@ -97,27 +93,6 @@ def test_a_name_is_no_command(readings, tmp_path, end):
     clean = "".join(one if one.isprintable() else "?" * len(one.encode()) for one in name)
     assert clean in svg_texts(tmp_path / "a.svg")
     assert clean in shown
-
-
-def test_json_is_utf_8(readings):
-    name = b'"a\xff\xc0\xaf\xed\xa0\x80\xf5 b\xc3\xa4\xf0\x9f\x98\x80"'
-    text = table_of({"milk": readings["milk"]}).encode().replace(b"milk", name)
-    report = json.loads(dipole("fit", *OPTIONS, "--format", "json", stdin=text).stdout)
-    assert report["rows"][0]["sample"] == "a" + 7 * "\ufffd" + " b\u00e4\U0001f600"
-
-
-def test_lines_of_samples_in_any_order_and_columns_too(readings):
-    """What is found does not depend on the order of lines, or on columns that are not read."""
-    usual = rows(
-        dipole("fit", *OPTIONS, "--format", "csv", stdin=table_of(readings)).stdout
-    )
-    mixed = ["# a comment", "who,error,R,comment,r,sample", ""]
-    for i, r in enumerate(AT_MM.tolist()):
-        for name, R in readings.items():
-            value = R.tolist()[i]
-            mixed.append(f'me,{0.01 * value!r},{value!r},"odd, ""quoted""",{r!r},{name}')
-    found = rows(dipole("fit", *OPTIONS, "--format", "csv", stdin="\r\n".join(mixed)).stdout)
-    assert found == usual
 
 
 def test_many_samples_of_several_designs(readings):

@@ -19,42 +19,6 @@ HEADER = "sigma_a,sigma_s,g,eta,r"
 ROW = "0.01,1,0,1.4,2"
 
 
-# ---- what CSV can look like ----------------------------------------------------------------------
-
-
-def test_carriage_returns_are_kept():
-    text = points(f"{HEADER}\r\n{ROW}\r\n\r\n{ROW}\n")
-    lines = text.split("\n")
-    assert lines[0] == f"{HEADER},R,albedo,cdf,status\r"
-    assert lines[1].endswith(",ok\r") and lines[2] == "\r" and lines[3].endswith(",ok")
-
-
-def test_byte_order_mark():
-    text = points(b"\xef\xbb\xbf" + f"{HEADER}\n{ROW}\n".encode())
-    assert text == "\ufeff" + points(f"{HEADER}\n{ROW}\n")
-
-
-def test_quoted_cells_may_hold_lines():
-    note = '"two\nlines, # and ""quotes"""'
-    text = points(f"note,{HEADER}\n{note},{ROW}\n\"\",{ROW}\n")
-    assert text.split("\n", 1)[1].startswith(f"{note},{ROW},")
-    rows = read_csv(text)
-    assert [row["note"] for row in rows] == ['two\nlines, # and "quotes"', ""]
-    assert [row["status"] for row in rows] == ["ok", "ok"]
-
-
-def test_bytes_that_are_no_text_are_passed_through():
-    run = subprocess.run(
-        [str(PROGRAM), "points"],
-        input=b"note," + HEADER.encode() + b"\n\xff\x00\xfe," + ROW.encode() + b"\n",
-        capture_output=True,
-        env=environment(),
-        timeout=TIMEOUT_S,
-        check=True,
-    )
-    assert run.stdout.splitlines()[1].startswith(b"\xff\x00\xfe," + ROW.encode() + b",")
-
-
 # ---- bad files -----------------------------------------------------------------------------------
 
 

@@ -3,13 +3,11 @@ a daemon."""
 
 from __future__ import annotations
 
-import re
 import subprocess
 
 import dipole as python_client
 import pytest
 from command_line import FAILED, PROGRAM, TIMEOUT_S, Terminal, dipole, eval_rows
-from command_line import scratch
 from daemons import environment
 
 MEDIUM = ["--sigma-a", "0.032", "--sigma-s", "0.74"]  # SKIN
@@ -83,40 +81,7 @@ def test_a_file_says_the_same_as_the_daemon(tmp_path, model):
         assert {row["channel"] for row in here} == {"skin1 red", "skin1 green", "skin1 blue"}
 
 
-def test_a_file_needs_no_daemon(tmp_path):
-    path = save(tmp_path, *MEDIUM)
-    text = dipole("eval", "--table", path, "--r", "1", env={"DIPOLED": "unix:/nonexistent"}).stdout
-    assert re.search("^better .* lut *$", text, re.M)
-    with open(path, "rb") as file:
-        assert dipole("eval", "--table", "-", "--r", "1", stdin=file.read()).stdout == text
+def test_a_table_is_drawn(tmp_path):
     picture = tmp_path / "picture.svg"
-    dipole("eval", "--table", path, "--plot", str(picture))
+    dipole("eval", "--table", save(tmp_path, *MEDIUM), "--plot", str(picture))
     assert picture.read_text().startswith("<?xml")
-
-
-def test_files_that_are_none(tmp_path):
-    path = save(tmp_path, *MEDIUM)
-    with open(path, "rb") as file:
-        data = file.read()
-    damaged = data[:-1] + bytes([data[-1] ^ 1])
-    for content, said in [
-        (b"", "table 1: this is not an intact table: it is too short"),
-        (b"sigma_a,sigma_s\n" * 30, "table 1: this is not an intact table: it does not start as"),
-        (data[:-8], "table 1: this is not an intact table: its end is missing"),
-        (damaged, "table 1: this is not an intact table: its counts or its checksum are wrong"),
-        (data + damaged, "table 2: this is not an intact table"),
-        (data + b"\n", "table 2: this is not an intact table: it is too short"),
-        (data[:24] + b"\1" + data[25:], "this table has layout 1, but this library reads layout 5"),
-    ]:
-        bad = scratch(tmp_path, "bad", content)
-        run = dipole("eval", "--table", bad, "--r", "1", status=FAILED)
-        assert said in run.stderr and run.stdout == ""
-    run = dipole("eval", "--table", "/nonexistent", status=FAILED)
-    assert "cannot read /nonexistent: No such file" in run.stderr
-
-
-def test_files_of_several_models(client, tmp_path):
-    both = client.table("better", (1, 1, 0, 1.3)).data + client.table("burley", (1, 1, 0, 1.3)).data
-    path = scratch(tmp_path, "both", both)
-    run = dipole("eval", "--table", path, status=FAILED)
-    assert "tables 1 and 2 differ in model, moments, parameters or number of layers" in run.stderr

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import socket
+import struct
 import time
 from typing import NamedTuple
 
@@ -594,6 +596,29 @@ def test_an_answer_that_waits_for_a_fit_ends_with_another_request(slave, client)
             assert eventually(lambda: as_words(second.read(AT["FIT_DONE"], 1, unit)) == [token])
             found = as_floats(second.read(AT["FIT_SIGMA_A"], 4, unit))
             np.testing.assert_allclose(found, [0.03, 1.2], rtol=1e-3)
+
+
+@pytest.mark.parametrize("model, thickness", [("beam", 0.0), ("multipole", 5.0)])
+def test_a_fit_is_done_when_its_master_has_left(slave, client, model, thickness):
+    """Each asks for a medium of its own, which the fit has prepared after it has found it, and leaves at
+    another moment, by closing or by a reset."""
+    unit, at = 94, np.float32([0.5, 1.0, 2.0, 4.0]).tolist()
+    with Tcp(slave) as observer:
+        setting(observer, unit, MODEL=MODELS[model], ETA=floats(1.3), THICKNESS=floats(thickness))
+        observer.write(AT["FIT_READING_COUNT"], words(4) + floats(*at), unit)
+        for token in range(1, 9):
+            medium = (0.03 + 0.002 * token, 1.25, 0.0, 1.3, thickness)
+            R = client.eval(model, single(medium), at).R[0]
+            pdu = write_read_pdu(AT["FIT_COMMIT"], words(token, 0) + floats(0.0) + pairs(R, 1e-4 * R), AT["FIT_STATUS"], 2)
+            leaves = Tcp(slave)
+            if token % 2:
+                leaves.socket.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+            leaves.socket.sendall(leaves.frame(unit, pdu))
+            state = lambda: as_words(observer.read(AT["FIT_STATUS"], 2, unit))  # noqa: E731
+            assert eventually(lambda: state()[0] == IS_BUSY or state() == [DONE, token])  # it has arrived
+            time.sleep(0.003 * (token % 4))
+            leaves.socket.close()
+            assert eventually(lambda: state() == [DONE, token])
 
 
 def test_a_fit_that_is_no_success_is_not_done(master):

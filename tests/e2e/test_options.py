@@ -19,28 +19,6 @@ NUMBERS = {
         re.M,
     )
 }
-OTHERS = [
-    "listen",
-    "certificate",
-    "key",
-    "client-ca",
-    "roles",
-    "allow",
-    "socket-mode",
-    "socket-group",
-    "fd",
-    "isa",
-    "metrics",
-    "http",
-    "http-allow-origin",
-    "modbus",
-    "modbus-allow",
-    "modbus-allow-write",
-    "modbus-read-only",
-    "log-level",
-    "help",
-    "version",
-]
 NOWHERE = ["--listen", "tcp:127.0.0.1:0"]
 LEVELS = {
     "portable": set(),
@@ -159,18 +137,6 @@ def test_numbers_at_the_ends_of_their_range(name):
         assert "no-such-option" in ended.stderr and f"--{name}" not in ended.stderr
 
 
-def test_help():
-    ended = run("--help")
-    assert ended.returncode == 0 and ended.stderr == ""
-    for name in [*NUMBERS, *OTHERS]:
-        assert f"--{name}" in ended.stdout
-    for name, values in NUMBERS.items():
-        for value in values:
-            assert str(value) in ended.stdout, name
-    assert "DIPOLED_" in ended.stdout and "SIGTERM" in ended.stdout
-    assert max(map(len, ended.stdout.splitlines())) <= 100
-
-
 def test_version():
     version = re.search(r"^VERSION := (\S+)", (REPOSITORY / "Makefile").read_text(), re.M)[1]
     ended = run("--version")
@@ -188,4 +154,3 @@ def test_log_level_error_is_quiet(daemon, tmp_path_factory):
     with quiet.client() as client:
         client.ping()
     assert quiet.log == []
-

@@ -205,7 +205,8 @@ def job_once_async(address: str, progress, **options) -> dipole.McResult:
     return asyncio.run(ask())
 
 
-both_run = pytest.mark.parametrize("run", [job_once, job_once_async])
+# Jobs do not depend on the transport.
+both_run = pytest.mark.parametrize("restarted, run", [("unix", job_once), ("tcp", job_once_async)], indirect=["restarted"])
 
 
 @both_run

@@ -9,14 +9,12 @@ from functools import partial
 import dipole as python_client
 import numpy as np
 import pytest
-from command_line import FAILED, says
 from dipole import Grid, Medium, wire
 from frames import ALBEDO, EVAL, F32, R, SKIN, ask
 from frames import eval_payload
 from lists import EVALUATORS, PARAMETERS
 
 TOLERANCE = PARAMETERS["tolerance"].id
-MEDIUM = ["--sigma-a", "0.032", "--sigma-s", "0.74"]  # SKIN
 
 
 def error_of(answer: python_client.Result) -> float:
@@ -153,16 +151,3 @@ def test_all_parts_have_one_choice(client):
     assert len(parts) > 1 and {(part.model, part.evaluator) for part in parts} == {
         (parts[0].model, "lut")
     }
-
-
-# ---- dipole eval ---------------------------------------------------------------------------------
-
-
-test_refusals_have_the_daemons_words = says(FAILED, ["eval", *MEDIUM], [
-    (["--tolerance", "1e-9"], "(best: transport, f64) (--tolerance)"),
-    (["--tolerance", "2"], "bad-value: tolerance: allowed: 1e-12 to 1 (--tolerance)"),
-    (["--tolerance", "0.1", "--eta", "0"], "bad-value: eta: allowed: "),
-    (["--tolerance", "0.1", "--r", "1,-1"], "bad-value: r number 2 of 2: allowed: "),
-    (["--tolerance", "0.1", "--from", "3", "--to", "1"], "(--to)"),
-    (["--tolerance", "1e-5", "--wanted", "ln_R", "--g", "0.9"], "bad-value: tolerance"),
-])

@@ -368,7 +368,7 @@ UNIT_TEST(at_most_two_turns_at_a_time) {
 }
 
 static enum lookup_state look_at_pace(struct fixture *f, struct lookup *lookup, unsigned number,
-                                       enum cache_pace pace) {
+                                      enum cache_pace pace) {
   const struct profiles_key key = key_number(number);
   const struct cache_key plain = profiles_cache_key(&key, &profiles_kind);
   return lookup_get(&f->lookups, lookup, &plain, pace, false);

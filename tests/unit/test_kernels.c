@@ -1,5 +1,5 @@
 /* The kernels of every instruction set of this machine give the bits of the portable kernels: at
- * every length, offset, lane and slicing, whatever values lie beside. */
+ * every length, offset and lane, whatever values lie beside. */
 #include <float.h>
 #include <math.h>
 
@@ -484,40 +484,6 @@ static void compare_lanes(const kernel_pair *pair, uint64_t *random) {
 
 UNIT_TEST(a_lane_does_not_see_its_neighbours) {
   with_every_pair(compare_lanes);
-}
-
-/* Evaluates in slices. The arrays have exactly the needed size, so that a sanitizer sees every
- * access beyond them. */
-static void compare_slicing(const kernel_pair *pair, uint64_t *random) {
-  enum { COUNT = 1000 };
-  if (is_slow(pair) && pair->is_portable) {
-    return;
-  }
-  const int repeats = is_costly(&pair->portable) ? 1 : 3;
-  const size_t used = !is_costly(&pair->portable) ? COUNT : pair->todo.quantity == 0 ? 40 : 150;
-  const size_t bytes = value_bytes(pair->portable.evaluator);
-  char *in = malloc(COUNT * bytes);
-  char *expected = malloc(COUNT * bytes);
-  char *out = malloc(COUNT * bytes);
-  assert_true(in != NULL && expected != NULL && out != NULL);
-  fill_inputs(in, pair, used, random);
-  apply_portable(&pair->portable, pair->todo, used, in, expected);
-  for (int repeat = 0; repeat < repeats; repeat++) {
-    memset(out, GUARD, COUNT * bytes);
-    for (size_t first = 0, n = 0; first < used; first += n) {
-      n = 1 + unit_random_below(random, repeat % 2 ? 20 : 300);
-      n = n < used - first ? n : used - first;
-      apply(&pair->other, pair->todo, n, in + first * bytes, out + first * bytes);
-    }
-    assert_same_bits(pair, expected, out, used, "in slices");
-  }
-  free(in);
-  free(expected);
-  free(out);
-}
-
-UNIT_TEST(slicing_gives_the_same_bits) {
-  with_every_pair(compare_slicing);
 }
 
 /* ---- edges -------------------------------------------------------------------------------- */

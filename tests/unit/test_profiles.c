@@ -154,10 +154,7 @@ UNIT_TEST(the_list_knows_what_is_worth_keeping) {
       continue;
     }
     const core_medium medium = unit_medium(model->id, &SKIN);
-    core_profile profile;
-    unit_assert_fault(core_profile_prepare(&profile, core_isa_select(NULL), model->id,
-                                           CORE_MOMENTS_EXACT, CORE_EVALUATOR_F64, &medium, NULL),
-                      NULL, 0);
+    core_profile profile = unit_profile(model->id, CORE_EVALUATOR_F64, &medium, NULL);
     assert_true(core_worth_keeping(model->id, CORE_EVALUATOR_F64) ==
                 (core_profile_bytes(&profile) > 1024));
     core_profile_free(&profile);

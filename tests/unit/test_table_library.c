@@ -26,10 +26,7 @@ static core_model_errors measured(const core_profile *profile) {
   if (!core_ruler_is_needed(profile->model, &none, medium, false)) {
     return core_model_errors_measure(profile, NULL);
   }
-  core_profile ruler;
-  unit_assert_fault(core_profile_prepare(&ruler, core_isa_select(NULL), CORE_MODEL_TRANSPORT,
-                                         CORE_MOMENTS_EXACT, CORE_EVALUATOR_F64, medium, &none),
-                    NULL, 0);
+  core_profile ruler = unit_profile(CORE_MODEL_TRANSPORT, CORE_EVALUATOR_F64, medium, &none);
   const core_model_errors errors = core_model_errors_measure(profile, &ruler);
   core_profile_free(&ruler);
   return errors;

@@ -135,6 +135,15 @@ core_medium unit_medium(unsigned model, const core_medium *medium) {
   return needed;
 }
 
+core_profile unit_profile(unsigned model, unsigned evaluator, const core_medium *medium,
+                          const core_parameters *parameters) {
+  core_profile profile;
+  unit_assert_fault(core_profile_prepare(&profile, core_isa_select(NULL), model, CORE_MOMENTS_EXACT,
+                                         evaluator, medium, parameters),
+                    NULL, 0);
+  return profile;
+}
+
 double unit_value_at(const core_profile *profile, enum core_quantity quantity, double r_mm) {
   if (profile->evaluator == CORE_EVALUATOR_F64) {
     double out;

@@ -65,6 +65,11 @@ void unit_assert_fault(core_fault fault, const char *field, size_t index);
 /* Returns the medium as a model needs it: a slab gets a thickness of 3 mean free paths. */
 core_medium unit_medium(unsigned model, const core_medium *medium);
 
+/* Prepares a profile with exact moments by the best instruction set, which the caller frees. The test
+ * fails if the medium is refused. parameters: NULL for none. */
+core_profile unit_profile(unsigned model, unsigned evaluator, const core_medium *medium,
+                          const core_parameters *parameters);
+
 /* Returns an elementwise quantity of a profile at r mm, in the precision of its evaluator. */
 double unit_value_at(const core_profile *profile, enum core_quantity quantity, double r_mm);
 
