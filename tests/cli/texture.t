@@ -10,7 +10,7 @@ $ printf 'PF\n2 2\n-1.0\n%048d' 0 > in.pfm; dipole texture in.pfm || echo $?; di
 1
 ! dipole texture: name two files: the image that is read, and the image that is written
 ! `dipole texture --help` says more.
-! dipole texture: give exactly one of --mean-free-path, --diffuse-mean-free-path, --classical-diffuse-path and --extinction-path, in mm
+! dipole texture: give exactly one of --mean-free-path, --diffuse-mean-free-path, --classical-diffuse-path and --extinction-path
 ! `dipole texture --help` says more.
 ! dipole texture: out.png: the name of the image that is written ends with .pfm, or with .png if --coefficients is scattered
 ! `dipole texture --help` says more.
