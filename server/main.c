@@ -211,11 +211,15 @@ static bool start_workers(struct daemon *daemon) {
   return true;
 }
 
-static bool listen_at(struct daemon *daemon, const char *url) {
+static bool open_listener(struct daemon *daemon, const char *url, listener_take *modbus) {
   const size_t opened = listener_open(&daemon->listeners[daemon->listener_count], &daemon->server,
-                                      &daemon->loop, url);
+                                      &daemon->loop, url, modbus);
   daemon->listener_count += opened;
   return opened > 0;
+}
+
+static bool listen_at(struct daemon *daemon, const char *url) {
+  return open_listener(daemon, url, NULL);
 }
 
 /* Opens the addresses of an option; [::] last, so that it leaves IPv4 to 0.0.0.0. */
@@ -235,11 +239,7 @@ static bool serve_modbus_at(struct daemon *daemon, const char *url) {
     return modbus_service_open_line(daemon->server.modbus, url);
   }
   const bool secure = strncmp(url, "tls:", 4) == 0;
-  const size_t opened = listener_open_modbus(
-      &daemon->listeners[daemon->listener_count], &daemon->server, &daemon->loop, url,
-      secure ? modbus_service_admit_tls : modbus_service_admit);
-  daemon->listener_count += opened;
-  return opened > 0;
+  return open_listener(daemon, url, secure ? modbus_service_admit_tls : modbus_service_admit);
 }
 
 static bool open_modbus(struct daemon *daemon) {

@@ -246,11 +246,6 @@ void input_trim(struct input *input, uint64_t now_ms) {
   }
 }
 
-void input_discard(struct input *input) {
-  input->begin = input->end = 0;
-  input->skip_bytes = 0;
-}
-
 bool input_partial(const struct input *input) {
   return input->skip_bytes > 0 || held(input) > 0;
 }

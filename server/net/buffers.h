@@ -99,9 +99,6 @@ void input_release(struct input *input);
  * times a second, while no payload is in use. */
 void input_trim(struct input *input, uint64_t now_ms);
 
-/* Drops everything that has arrived. */
-void input_discard(struct input *input);
-
 /* Returns whether a frame has begun to arrive and is not complete. */
 bool input_partial(const struct input *input);
 

@@ -71,9 +71,7 @@ static void refuse_at_once(struct server *server, int fd, struct tls_session *se
   if (sent == (ssize_t)sizeof frame) {
     stats_count_reply(&server->stats, error.status);
   }
-  if (session != NULL) {
-    tls_session_free(session);
-  }
+  tls_session_free(session);
   close(fd);
 }
 
@@ -255,7 +253,7 @@ static bool open_unix(struct listener *listener, const char *url, const char *pa
 
 /* Opens a listener for each address of a name. Returns how many. */
 static size_t open_tcp(struct listener *listeners, const char *url, const char *host_port,
-                       const char *scheme) {
+                       const char *protocol, const char *scheme) {
   const char *why;
   int fds[TCP_ADDRESSES_MAX];
   const size_t count = tcp_listen(host_port, fds, &why);
@@ -264,7 +262,7 @@ static size_t open_tcp(struct listener *listeners, const char *url, const char *
     listeners[i] = listeners[0];
     listeners[i].fd = fds[i];
     tcp_bound(fds[i], bound);
-    log_line(LOG_LEVEL_INFO, "event=listening url=%s:%s", scheme, bound);
+    log_line(LOG_LEVEL_INFO, "event=listening url=%s%s:%s", protocol, scheme, bound);
   }
   return count > 0 ? count : complain(url, why);
 }
@@ -314,8 +312,26 @@ bool listener_adopt(struct listener *listener, struct server *server, uv_loop_t 
   return watch_listener(listener, loop);
 }
 
-/* Watches this many listeners that have been opened. */
-static size_t watch_all(struct listener *listeners, uv_loop_t *loop, size_t count) {
+size_t listener_open(struct listener listeners[TCP_ADDRESSES_MAX], struct server *server,
+                     uv_loop_t *loop, const char *url, listener_take *modbus) {
+  const bool is_tls = strncmp(url, "tls:", 4) == 0;
+  size_t count;
+  listeners[0] = (struct listener){.server = server, .admit = modbus, .fd = -1};
+  if (modbus == NULL) {
+    listeners[0].admit = is_tls ? handshakes_admit : admit_socket;
+  }
+  if (is_tls || strncmp(url, "tcp:", 4) == 0) {
+    count =
+        open_tcp(listeners, url, url + 4, modbus != NULL ? "modbus-" : "", is_tls ? "tls" : "tcp");
+  } else if (modbus == NULL && strncmp(url, "unix:", 5) == 0) {
+    count = open_unix(&listeners[0], url, url + 5);
+  } else {
+    count = complain(
+        url, modbus != NULL
+                 ? "Modbus is served at tcp:HOST:PORT, tls:HOST:PORT or "
+                   "rtu:DEVICE[,BAUD[,PARITY[,UNIT]]]"
+                 : "write unix:PATH, tcp:HOST:PORT or tls:HOST:PORT, as in tcp:127.0.0.1:4817");
+  }
   for (size_t i = 0; i < count; i++) {
     watch_listener(&listeners[i], loop);
   }
@@ -323,37 +339,6 @@ static size_t watch_all(struct listener *listeners, uv_loop_t *loop, size_t coun
     close(listeners[0].fd);
   }
   return count;
-}
-
-size_t listener_open(struct listener listeners[TCP_ADDRESSES_MAX], struct server *server,
-                     uv_loop_t *loop, const char *url) {
-  listeners[0] = (struct listener){.server = server, .admit = admit_socket, .fd = -1};
-  size_t count;
-  if (strncmp(url, "unix:", 5) == 0) {
-    count = open_unix(&listeners[0], url, url + 5);
-  } else if (strncmp(url, "tcp:", 4) == 0) {
-    count = open_tcp(listeners, url, url + 4, "tcp");
-  } else if (strncmp(url, "tls:", 4) == 0) {
-    listeners[0].admit = handshakes_admit;
-    count = open_tcp(listeners, url, url + 4, "tls");
-  } else {
-    count =
-        complain(url, "write unix:PATH, tcp:HOST:PORT or tls:HOST:PORT, as in tcp:127.0.0.1:4817");
-  }
-  return watch_all(listeners, loop, count);
-}
-
-size_t listener_open_modbus(struct listener listeners[TCP_ADDRESSES_MAX], struct server *server,
-                            uv_loop_t *loop, const char *url,
-                            void (*take)(struct server *server, int fd)) {
-  listeners[0] = (struct listener){.server = server, .admit = take, .fd = -1};
-  const size_t count =
-      strncmp(url, "tcp:", 4) == 0   ? open_tcp(listeners, url, url + 4, "modbus-tcp")
-      : strncmp(url, "tls:", 4) == 0 ? open_tcp(listeners, url, url + 4, "modbus-tls")
-                                     : complain(url, "Modbus is served at tcp:HOST:PORT, "
-                                                     "tls:HOST:PORT or "
-                                                     "rtu:DEVICE[,BAUD[,PARITY[,UNIT]]]");
-  return watch_all(listeners, loop, count);
 }
 
 void listener_close(struct listener *listener) {

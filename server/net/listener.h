@@ -6,9 +6,12 @@
 #include "server/net/tls.h"
 #include "server/server.h"
 
+/* Gets, and then owns, a connected socket. */
+typedef void listener_take(struct server *server, int fd);
+
 struct listener {
   struct server *server;
-  void (*admit)(struct server *server, int fd); /* gets, and then owns, each connected socket */
+  listener_take *admit;
   uv_poll_t poll;
   uv_timer_t pause;
   uint64_t pause_logged_ms; /* when a pause was last logged; 0 if never */
@@ -19,21 +22,16 @@ struct listener {
 };
 
 /* Listens at unix:PATH, tcp:HOST:PORT or tls:HOST:PORT, at each address of HOST, and logs them.
- * Returns the number of listeners that it opened. If it fails, prints a message to standard error
- * and returns 0. */
+ * modbus: takes the connections of Modbus, which has no unix:PATH; NULL: the binary protocol. Returns
+ * the number of listeners that it opened. If it fails, prints a message to standard error and returns
+ * 0. */
 size_t listener_open(struct listener listeners[TCP_ADDRESSES_MAX], struct server *server,
-                     uv_loop_t *loop, const char *url);
+                     uv_loop_t *loop, const char *url, listener_take *modbus);
 
 /* Makes a listener of a stream socket (Unix or TCP) that already listens, and logs its address. The
  * socket's file, if any, stays when the listener is closed. If fd is no such socket, closes fd,
  * prints a message to standard error and returns false. */
 bool listener_adopt(struct listener *listener, struct server *server, uv_loop_t *loop, int fd);
-
-/* The same for Modbus, at tcp:HOST:PORT or tls:HOST:PORT. take() gets, and then owns, each connected
- * socket. */
-size_t listener_open_modbus(struct listener listeners[TCP_ADDRESSES_MAX], struct server *server,
-                            uv_loop_t *loop, const char *url,
-                            void (*take)(struct server *server, int fd));
 
 /* Stops listening. libuv closes the handles in the loop's next round. */
 void listener_close(struct listener *listener);

@@ -22,10 +22,6 @@ static bool has_tls(const struct options_list *urls) {
   return false;
 }
 
-bool tls_is_wanted_for_modbus(const struct options *options) {
-  return has_tls(&options->modbus);
-}
-
 bool tls_is_wanted(const struct options *options) {
   return has_tls(&options->listen) || has_tls(&options->modbus);
 }
@@ -163,7 +159,7 @@ struct tls *tls_new(const struct options *options) {
             has_tls(&options->listen) ? "--listen" : "--modbus");
     return NULL;
   }
-  if (options->client_ca == NULL && tls_is_wanted_for_modbus(options)) {
+  if (options->client_ca == NULL && has_tls(&options->modbus)) {
     fprintf(stderr, "dipoled: --modbus tls:HOST:PORT needs --client-ca FILE: masters have to have "
                     "certificates\n");
     return NULL;

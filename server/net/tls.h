@@ -20,9 +20,8 @@ struct tls;
 /* One connection. Its socket must not block. */
 struct tls_session;
 
-/* Return whether an option requests TLS, and for MODBUS/TCP Security. */
+/* Returns whether an option requests TLS. */
 bool tls_is_wanted(const struct options *options);
-bool tls_is_wanted_for_modbus(const struct options *options);
 
 /* Reads the files of --certificate, --key, --client-ca and --roles. If that fails, prints a message
  * to standard error and returns NULL. The caller calls tls_free(). */
@@ -39,7 +38,7 @@ struct tls_session *tls_session_new(struct tls *tls, int fd);
 
 /* The functions above belong to the main thread, those that follow to any one thread at a time. */
 
-void tls_session_free(struct tls_session *session);
+void tls_session_free(struct tls_session *session); /* may be NULL */
 
 enum tls_progress { TLS_DONE, TLS_WANTS_READ, TLS_WANTS_WRITE, TLS_FAILED };
 
