@@ -44,6 +44,11 @@ int cli_say(enum cli_status status, const char *format, ...) {
   return (int)status;
 }
 
+bool cli_ends_with(const char *text, const char *ending) {
+  const size_t length = strlen(text), end = strlen(ending);
+  return length >= end && strcmp(text + length - end, ending) == 0;
+}
+
 enum { COLUMNS_USUAL = 80, ROWS_USUAL = 24 };
 
 /* NO_COLOR counts if it is set to any text but the empty one: https://no-color.org. */

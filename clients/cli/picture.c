@@ -27,11 +27,6 @@ static bool is_text(const char *path) {
   return strcmp(path, TERMINAL) == 0;
 }
 
-static bool ends_with(const char *path, const char *ending) {
-  const size_t length = strlen(path), end = strlen(ending);
-  return length > end && strcmp(path + length - end, ending) == 0;
-}
-
 int cli_picture_check(const cli_texts *paths, const cli_settings *settings) {
   for (size_t i = 0; i < paths->count; i++) {
     const char *path = paths->items[i];
@@ -40,7 +35,7 @@ int cli_picture_check(const cli_texts *paths, const cli_settings *settings) {
                             "or leave --format out",
                             settings->format);
     }
-    if (!is_text(path) && !ends_with(path, ".svg") && !ends_with(path, ".png")) {
+    if (!is_text(path) && !cli_ends_with(path, ".svg") && !cli_ends_with(path, ".png")) {
       return cli_fail_usage("--plot %s: the name must end in .svg or .png; - is the terminal",
                             path);
     }
@@ -167,7 +162,7 @@ static double largest(const cli_picture *picture) {
 
 static void write_script(FILE *script, const cli_picture *picture, const char *path) {
   const cli_terminal terminal = cli_terminal_look();
-  const bool text = is_text(path), png = ends_with(path, ".png");
+  const bool text = is_text(path), png = cli_ends_with(path, ".png");
   size_t longest = 0;
   for (size_t c = 0; c < picture->count; c++) {
     longest = fmax((double)longest, (double)strlen(picture->curves[c].title));

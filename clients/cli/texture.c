@@ -295,11 +295,6 @@ static bool write_pfm(FILE *to, const image *of) {
 
 /* ---- files ----------------------------------------------------------------------------------- */
 
-static bool ends_with(const char *file, const char *suffix) {
-  const size_t length = strlen(file), end = strlen(suffix);
-  return length > end && strcmp(file + length - end, suffix) == 0;
-}
-
 /* Reads a file: PNG or PFM, as its first bytes say. Says on standard error if an opacity is left
  * out. The values of a PNG are shares of the largest one; unless `linear`, they become linear light
  * of the primaries of sRGB, as the file says by a colour profile or gAMA, else from sRGB. Says what
@@ -333,7 +328,7 @@ static bool write_image(const char *file, const image *of) {
     return fail(file, strerror(errno));
   }
   errno = 0;
-  const bool written = ends_with(file, ".png") ? write_png(file, to, of) : write_pfm(to, of);
+  const bool written = cli_ends_with(file, ".png") ? write_png(file, to, of) : write_pfm(to, of);
   const bool good = !ferror(to) && written;
   if (fclose(to) != 0 || !good) {
     return written ? fail(file, errno != 0 ? strerror(errno) : "it cannot be written") : false;
@@ -410,8 +405,8 @@ static int take_settings(texture_run *run) {
     return CLI_USAGE;
   }
   const bool shares = run->query.coefficients == DIPOLE_SCATTERED;
-  if (!ends_with(settings->second_operand, ".pfm") &&
-      !(shares && ends_with(settings->second_operand, ".png"))) {
+  if (!cli_ends_with(settings->second_operand, ".pfm") &&
+      !(shares && cli_ends_with(settings->second_operand, ".png"))) {
     return cli_fail_usage("%s: the name of the image that is written ends with .pfm, or with .png "
                           "if --coefficients is scattered",
                           settings->second_operand);

@@ -49,11 +49,6 @@ static uint64_t find_value(const top_look *look, const char *name) {
   return 0;
 }
 
-static bool ends_with(const char *name, const char *ending) {
-  const size_t length = strlen(name), end = strlen(ending);
-  return length >= end && strcmp(name + length - end, ending) == 0;
-}
-
 /* Returns whether a statistic is a state and no count, so that it has no rate. */
 static bool is_state(const char *name) {
   static const char *const endings[] = {"_open",       "queued_connections",
@@ -63,7 +58,7 @@ static bool is_state(const char *name) {
                                         "_p90_us",     "_p99_us",
                                         "_p999_us",    "_max_us"};
   for (size_t i = 0; i < sizeof endings / sizeof endings[0]; i++) {
-    if (ends_with(name, endings[i])) {
+    if (cli_ends_with(name, endings[i])) {
       return true;
     }
   }
@@ -85,9 +80,10 @@ static void list(top_run *of) {
   of->listed_count = 0;
   for (size_t i = 0; i < of->now.count && of->listed_count < LISTED_MAX; i++) {
     const dipole_value *one = &of->now.values[i];
-    const bool quantile = ends_with(one->name, "_us"), latency = strncmp(one->name, "lat", 3) == 0;
-    const bool shown = quantile ? one->value > 0 && (ends_with(one->name, "_p50_us") ||
-                                                     ends_with(one->name, "_p99_us"))
+    const bool quantile = cli_ends_with(one->name, "_us"),
+               latency = strncmp(one->name, "lat", 3) == 0;
+    const bool shown = quantile ? one->value > 0 && (cli_ends_with(one->name, "_p50_us") ||
+                                                     cli_ends_with(one->name, "_p99_us"))
                                 : !latency && !(rate(of, one) <= 0);
     if (of->settings->form != CLI_TABLE || shown) {
       of->listed[of->listed_count++] = i;

@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from . import wire
-from .errors import ArgumentError, ProtocolError
+from .errors import ArgumentError, ProtocolError, naming
 from .values import Array, Info, Media, Medium, Stack
 
 T = TypeVar("T")
@@ -68,10 +68,8 @@ def media_array(media: Media) -> Array:
         "media: dipole.Medium(sigma_a, sigma_s, g, eta, thickness), dipole.Stack(medium, ...), or a "
         "list of several of one kind, with as many layers each, or an array [C, 4] or [C, 5]"
     )
-    try:
+    with naming(requested):
         array: Array = np.asarray(_full([media] if isinstance(media, Stack) else media), "<f8")
-    except (TypeError, ValueError) as error:
-        raise ArgumentError(f"{requested}: {error}") from error
     if array.ndim == 1:
         array = array[np.newaxis]
     if array.ndim == 2:
@@ -136,10 +134,8 @@ def in_precision(numbers: Any, argument: str, noun: str, evaluator_id: int) -> A
     caller's argument and uses the noun for one number: "r: one radius or an array [N]"."""
     if evaluator_id not in wire.EVALUATOR_TYPES:
         raise ArgumentError(f"evaluator {evaluator_id}: this module does not know its precision")
-    try:
+    with naming(f"{argument}: one {noun} or an array [N]"):
         array = np.asarray([] if numbers is None else numbers, wire.EVALUATOR_TYPES[evaluator_id])
-    except (TypeError, ValueError) as error:
-        raise ArgumentError(f"{argument}: one {noun} or an array [N]: {error}") from error
     if array.ndim > 1:
         raise ArgumentError(f"{argument}: one {noun} or an array [N]")
     return np.ascontiguousarray(array.reshape(-1))

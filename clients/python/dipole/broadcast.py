@@ -13,7 +13,7 @@ import numpy as np
 from . import evaluation, wire
 from .arguments import media_array
 from .session import Session
-from .errors import ArgumentError
+from .errors import ArgumentError, naming
 from .exchange import Request
 from .values import Array, EvaluatorOptions, Info, Media, Query, Result, Stack, counted, in_short, span
 
@@ -100,10 +100,8 @@ async def values(
 def _plan(info: Info, media: Media, r: Any) -> tuple[tuple[int, ...], Iterator[Places]]:
     """Returns the shape of the result, and the queries that Client.values() has to send."""
     one = _media(media)
-    try:
+    with naming("r: radii of any shape"):
         radii = np.asarray(r, np.float64)
-    except (TypeError, ValueError) as error:
-        raise ArgumentError(f"r: radii of any shape: {error}") from error
     try:
         shape = np.broadcast_shapes(one.index.shape, radii.shape)
     except ValueError as error:
@@ -146,14 +144,12 @@ def _media(media: Media) -> _Media:
     form = "media: a Medium, whose fields may be arrays, or an array [..., 4] or [..., 5]"
     if isinstance(media, Stack):
         raise ArgumentError(_NO_LAYERS)
-    try:
+    with naming(form):
         if isinstance(media, tuple) and not isinstance(media[0], tuple):
             fields = [np.asarray(field, np.float64) for field in media]
         else:
             array = np.asarray(media, np.float64)
             fields = list(np.moveaxis(array, -1, 0)) if array.ndim else []
-    except (TypeError, ValueError) as error:
-        raise ArgumentError(f"{form}: {error}") from error
     if len(fields) not in (4, 5):
         raise ArgumentError(form)
     fields += [np.zeros(())] * (5 - len(fields))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+from collections.abc import Iterator
 from typing import Any
 
 
@@ -37,6 +39,15 @@ class ProtocolError(DipoleError):
 
 class ArgumentError(DipoleError, ValueError):
     """The arguments of a call do not fit together. The client has sent nothing."""
+
+
+@contextlib.contextmanager
+def naming(arguments: str) -> Iterator[None]:
+    """Makes an ArgumentError, which names the arguments, of what numpy says of them."""
+    try:
+        yield
+    except (TypeError, ValueError) as error:
+        raise ArgumentError(f"{arguments}: {error}") from error
 
 
 class TableError(DipoleError, ValueError):

@@ -9,7 +9,7 @@ import numpy as np
 
 from . import wire
 from .arguments import id_of, media_array, parameters_list
-from .errors import ArgumentError
+from .errors import ArgumentError, naming
 from .exchange import InParts, Joined, Request
 from .session import Session
 from .values import Array, Fits, Media
@@ -19,21 +19,17 @@ OUTSTANDING = 2  # number of requests under way at a time
 
 
 def _arrays(values: Any, errors: Any) -> tuple[Array, Array]:
-    try:
+    with naming("values, errors"):
         readings = np.asarray(values, "<f8")
         spread = np.broadcast_to(np.asarray(errors, "<f8"), readings.shape)
-    except (TypeError, ValueError) as error:
-        raise ArgumentError(f"values, errors: {error}") from error
     if readings.ndim == 0:
         raise ArgumentError("values: an array [..., N] of the readings at N places")
     return readings, spread
 
 
 def _place(name: str, given: Any, readings: int) -> Array:
-    try:
+    with naming(f"{name}: one number, or an array [{readings}]"):
         return np.ascontiguousarray(np.broadcast_to(np.asarray(given, "<f8"), (readings,)))
-    except (TypeError, ValueError) as error:
-        raise ArgumentError(f"{name}: one number, or an array [{readings}]: {error}") from error
 
 
 async def fit(

@@ -19,7 +19,7 @@ import numpy as np
 from . import wire
 from .arguments import id_of, media_array, name_of, notes_of, parameters_list
 from .session import Session
-from .errors import ArgumentError, ProtocolError, Refused
+from .errors import ArgumentError, ProtocolError, Refused, naming
 from .exchange import InParts, Joined, Once, Request
 from .library import Handle, address, call
 from .library import library as load
@@ -45,11 +45,9 @@ class Points:
     """
 
     def __init__(self, xyz: Any, power: Any):
-        try:
+        with naming("points"):
             self.xyz: Array = np.ascontiguousarray(xyz, "<f8")
             self.power: Array = np.ascontiguousarray(power, "<f4")
-        except (TypeError, ValueError) as error:
-            raise ArgumentError(f"points: {error}") from error
         if self.power.ndim == 1:
             self.power = self.power[:, np.newaxis]
         if self.xyz.ndim != 2 or self.xyz.shape[1] != 3:
@@ -135,10 +133,8 @@ async def gather(
     """
     info = session.info
     media = await session.media_of(media)
-    try:
+    with naming("queries"):
         listed = np.asarray(queries, "<f8")
-    except (TypeError, ValueError) as error:
-        raise ArgumentError(f"queries: {error}") from error
     if listed.ndim < 1 or listed.shape[-1] != 3:
         raise ArgumentError("queries: an array [..., 3]")
     places = np.ascontiguousarray(listed.reshape(-1, 3))

@@ -8,7 +8,7 @@ import numpy as np
 
 from . import wire
 from .arguments import id_of, name_of
-from .errors import ArgumentError, ProtocolError
+from .errors import ProtocolError, naming
 from .exchange import InParts, Joined, Request
 from .session import Session
 from .values import Inversion
@@ -39,10 +39,8 @@ async def invert(
     reflects. g=0.0 and eta=1.3 hold for all media. moments, deadline_ms: as of a Query.
     """
     info = session.info
-    try:
+    with naming("albedo, length"):
         albedos, lengths = np.broadcast_arrays(np.asarray(albedo, "<f8"), np.asarray(length, "<f8"))
-    except ValueError as error:
-        raise ArgumentError(f"albedo, length: {error}") from error
     fixed: dict[str, Any] = {
         "model": id_of(info, "model", model),
         "moments": id_of(info, "moments", moments),

@@ -9,7 +9,7 @@ import numpy as np
 
 from .arguments import media_array
 from .session import Session
-from .errors import ArgumentError
+from .errors import ArgumentError, naming
 from .evaluation import eval
 from .values import Array, EvaluatorOptions, Grid, Media, Query, counted, in_short, span, whole
 
@@ -158,10 +158,8 @@ def _edges(edges: Any) -> Array:
             edges = np.geomspace(edges.start_mm, edges.stop_mm, edges.count)
         else:
             edges = np.linspace(edges.start_mm, edges.stop_mm, edges.count)
-    try:
+    with naming("edges: a Grid, or an array [N + 1]"):
         array: Array = np.array(edges, np.float64)
-    except (TypeError, ValueError) as error:
-        raise ArgumentError(f"edges: a Grid, or an array [N + 1]: {error}") from error
     good = array.ndim == 1 and array.size > 1 and array[0] >= 0 and np.isfinite(array).all()
     if not good or not (np.diff(array) > 0).all():
         raise ArgumentError("edges: a Grid, or an array [N + 1] of rising radii in mm from 0 on")

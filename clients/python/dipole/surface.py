@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from . import wire
-from .errors import ArgumentError
+from .errors import ArgumentError, naming
 from .library import Fetched, address, bytes_of, call, library
 from .values import Array, Info, in_short
 
@@ -179,12 +179,10 @@ class Surface(Fetched):
     ) -> tuple[list[Array], Array, float]:
         """Returns the arrays of the wanted quantity or of all coefficients, the statuses, and the
         share of the light that the surface reflects."""
-        try:
+        with naming(", ".join(arguments)):
             listed = np.broadcast_arrays(
                 *(np.asarray(one, self._type) for one in arguments.values())
             )
-        except (TypeError, ValueError) as error:
-            raise ArgumentError(f"{', '.join(arguments)}: {error}") from error
         shape = listed[0].shape
         arrays = [np.ascontiguousarray(one) for one in listed]
         parameters = [_Parameter(int(one["parameter"]), float(one["value"])) for one in self._listed]

@@ -10,7 +10,7 @@ import numpy as np
 from . import wire
 from .arguments import id_of, name_of, notes_of, parameters_list
 from .session import Session
-from .errors import ArgumentError
+from .errors import ArgumentError, naming
 from .exchange import InParts, Joined, Request
 from .values import Array, Info, Varying
 
@@ -166,10 +166,8 @@ async def varying(
     coloured = "colour" in arrays
     evaluator_id = id_of(info, "evaluator", evaluator)
     type = wire.EVALUATOR_TYPES.get(evaluator_id, "<f8")
-    try:
+    with naming(", ".join(arrays)):
         listed = np.broadcast_arrays(*(np.asarray(array, type) for array in arrays.values()))
-    except (TypeError, ValueError) as error:
-        raise ArgumentError(f"{', '.join(arrays)}: {error}") from error
     usual = _WANTED[numbers]
     wanted_bits = _bits(info, "quantity", usual if wanted is None else wanted)
     # model_error has no array, and is always requested
