@@ -23,6 +23,7 @@
 #include "server/observe/log.h"
 #include "server/observe/metrics.h"
 #include "server/store/cache.h"
+#include "server/store/media.h"
 
 enum { PASSED_FIRST = 3, PASSED_MAX = 32 }; /* sockets that a service manager passes */
 
@@ -350,6 +351,13 @@ static bool open_http(struct daemon *daemon) {
   return server->options.http == NULL || daemon->http != NULL;
 }
 
+/* Reads the file of --media, if it is given. Called before the workers start. */
+static bool read_media(const struct server *server) {
+  char why[160];
+  const char *path = server->options.media;
+  return path == NULL || media_read(path, why, sizeof why) || complain(path, why);
+}
+
 /* Sets up Modbus, if --modbus is given. Called before the workers start, because one of them gets
  * the registers. */
 static bool set_up_modbus(struct server *server) {
@@ -444,7 +452,7 @@ static int run_daemon(struct daemon *daemon) {
   }
   raise_descriptor_limit();
   set_up_loop(daemon);
-  daemon->ready = set_up_tls(server) && set_up_modbus(server) && start_workers(daemon) &&
+  daemon->ready = read_media(server) && set_up_tls(server) && set_up_modbus(server) && start_workers(daemon) &&
                   set_up_handshakes(daemon) && open_metrics(daemon) && open_addresses(daemon) &&
                   open_modbus(daemon) && open_http(daemon);
   if (daemon->ready) {

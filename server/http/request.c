@@ -9,6 +9,7 @@
 #include "proto/gather.h"
 #include "proto/schema.h"
 #include "proto/varying.h"
+#include "server/store/media.h"
 
 /* The same default in all clients. */
 #define USUAL_ETA 1.3
@@ -145,7 +146,7 @@ static bool add_layer(struct translation *t, const wire_medium *layer) {
 }
 
 static bool add_measured(struct translation *t, const char *name, size_t index) {
-  const core_measured_medium *measured = core_measured_medium_by_name(name);
+  const core_measured_medium *measured = media_named(name);
   bool good = measured != NULL ||
               fail_at(t, bad_value("medium", "a name of /v1/media, or coefficients"), index);
   const size_t layers = measured != NULL ? measured->layer_count : 0;

@@ -4,6 +4,7 @@
 #include "proto/schema.h"
 #include "server/jobs/job.h"
 #include "server/observe/report.h"
+#include "server/store/media.h"
 
 /* Accepts a request whose reply is one part of part_bytes. */
 static enum job_outcome reply_with(struct job *job, size_t part_bytes) {
@@ -108,9 +109,10 @@ static uint8_t *put_list(uint8_t *at, size_t count) {
 }
 
 static enum job_outcome start_media(struct job *job, const struct job_request *request) {
-  size_t layers = 0;
-  for (size_t i = 0; i < core_measured_media_count; i++) {
-    layers += core_measured_media[i].layer_count;
+  size_t count, layers = 0;
+  const core_measured_medium *all = media_all(&count);
+  for (size_t i = 0; i < count; i++) {
+    layers += all[i].layer_count;
   }
   return start_list(job, request, layers, WIRE_BYTES_measured_medium);
 }
@@ -118,9 +120,10 @@ static enum job_outcome start_media(struct job *job, const struct job_request *r
 static enum job_outcome put_media(struct job *job, uint8_t *at) {
   (void)job;
   uint8_t *entry_at = at + WIRE_BYTES_list_reply;
-  size_t layers = 0;
-  for (size_t i = 0; i < core_measured_media_count; i++) {
-    const core_measured_medium *medium = &core_measured_media[i];
+  size_t count, layers = 0;
+  const core_measured_medium *all = media_all(&count);
+  for (size_t i = 0; i < count; i++) {
+    const core_measured_medium *medium = &all[i];
     for (size_t layer = 0; layer < medium->layer_count; layer++, layers++) {
       wire_measured_medium entry;
       WIRE_SET_TEXT(entry.name, medium->name);

@@ -4,6 +4,7 @@
 
 #include "server/net/worker.h"
 #include "server/observe/health.h"
+#include "server/store/media.h"
 
 static const registers_job *fields_of(const struct modbus_task *task) {
   return &registers_jobs[task->kind];
@@ -138,7 +139,9 @@ static void watch_task(const struct modbus_task *task, uint64_t named_ms) {
 
 wire_error modbus_task_commit(struct modbus_task *task, struct client *master) {
   struct worker *worker = task->client->worker;
-  if (registers_u16(task->registers, REGISTERS_AT_PRESET) > 3 * core_measured_media_count) {
+  size_t media_count;
+  media_all(&media_count);
+  if (registers_u16(task->registers, REGISTERS_AT_PRESET) > 3 * media_count) {
     return wire_error_make(WIRE_STATUS_BAD_VALUE, "preset", "0, or a row of `dipole media`");
   }
   const wire_header header = {

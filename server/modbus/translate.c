@@ -5,6 +5,7 @@
 #include <string.h>
 
 #include "proto/schema.h"
+#include "server/store/media.h"
 
 enum {
   LINKS_MAX = 24,      /* most fields of a structure that have registers */
@@ -186,7 +187,8 @@ static void put_readings(const uint16_t image[REGISTERS_END], unsigned count, bo
 /* Returns the medium that the register `preset` names; NULL: none. */
 static const core_measured_medium *preset_of(const uint16_t image[REGISTERS_END]) {
   const unsigned row = registers_u16(image, REGISTERS_AT_PRESET);
-  return row > 0 ? &core_measured_media[(row - 1) / 3] : NULL;
+  size_t count;
+  return row > 0 ? &media_all(&count)[(row - 1) / 3] : NULL;
 }
 
 /* Returns the number of layers in a request; NULL for requests whose medium has one. */

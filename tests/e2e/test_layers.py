@@ -7,6 +7,7 @@ import csv
 import numpy as np
 import pytest
 from command_line import dipole
+from daemons import run
 from dipole import ArgumentError, Client, Medium, Points, Refused, Stack
 from test_http import post
 
@@ -83,6 +84,40 @@ def test_named_layers_are_a_medium_everywhere(daemon, tmp_path):
     for wrong in (["--g", "0.9"], ["--medium", "skin-dark,skin1"]):
         assert lines("eval", "--medium", "skin-dark", *choice, *wrong, status=2) == []
     assert "half spaces" in dipole("bake", "kernel", "--medium", "skin-dark", status=2).stderr
+
+
+def test_media_of_a_file(daemon, tmp_path):
+    (tmp_path / "media").write_text(
+        "# two of them\nfilm 0.5,1,0,1.3,0.5 0.25,1.5,0.25,1.3\n\n"
+        "leaf red 1,2,0.5,1.4,0.25\nleaf green 2,2,0.5,1.4,0.25 # darker\nleaf blue 3,2,0.5,1.4,0.25\n"
+    )
+    one = daemon("--media", str(tmp_path / "media"), "--http", "127.0.0.1:0")
+    with one.client() as client:
+        media = client.media()
+        film = Stack(Medium(0.5, 1.0, 0.0, 1.3, 0.5), Medium(0.25, 1.5, 0.25, 1.3))
+        assert list(media)[-2:] == ["film", "leaf"] and media["skin1"][0] == Medium(0.032, 0.74)
+        assert media["film"] == (film,) * 3
+        assert media["leaf"] == tuple(Medium(a, 2.0, 0.5, 1.4, 0.25) for a in (1.0, 2.0, 3.0))
+        options = {"wanted": "R", "evaluator": "f64", "tolerance": 0.1}
+        found = client.eval("transport", "film", R_MM, **options).R
+        assert (found == client.eval("transport", film, R_MM, **options).R).all()
+    reply = post(one, "/v1/eval", model="transport", medium="film", r=R_MM, **options).json
+    assert [channel["R"] for channel in reply["channels"]] == found.tolist()
+
+
+@pytest.mark.parametrize("text, says", [
+    ("skin1 1,2,0,1.3", "line 1: the name is taken"), ("a 1,2,0,1.3 1,2,0,1.3", "line 1: above 0: only the last"),
+    ("a 1,2,0", "line 1: layers are SIGMA_A"), ("a", "line 1: layers are"), ("a red 1,2,0,1.3\nb 1,2,0,1.3", "line 2: the medium above"),
+    ("\na red 1,2,0,1.3", "line 2: the last medium lacks"), ("a 1,2,0,1e4", "line 1: 0.001 to 1000"),
+    (f"{17 * 'a'} 1,2,0,1.3", "at most 16 bytes"), ("a red 1,2,0,1.3\na red 1,2,0,1.3", "line 2: the medium above"),
+    ("a red 1,2,0,1.3\na green 1,2,0,1.3,1 1,2,0,1.3", "as many layers"), ("a " + 9 * "1,2,0,1.3,1 ", "layers are"),
+    ("".join(f"m{i} 1,2,0,1.3\n" for i in range(257)), "line 257: a file has at most 256"),
+    ("a" * 2100, "too long"),
+])  # fmt: skip
+def test_files_of_media_that_are_wrong(tmp_path, text, says):
+    (tmp_path / "media").write_text(text)
+    ended = run("--listen", f"unix:{tmp_path}/s", "--media", str(tmp_path / "media"))
+    assert ended.returncode == 1 and f"{tmp_path}/media: " in ended.stderr and says in ended.stderr, ended.stderr
 
 
 def test_a_slab_that_is_cut_lets_the_same_light_through(daemon):
