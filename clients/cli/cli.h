@@ -111,7 +111,7 @@ typedef struct cli_settings {
   cli_count taps, size;
   bool common;
   cli_texts coefficients;
-  cli_number tolerance, least_distance;
+  cli_number tolerance;
   cli_number photons, error, total_error;
   cli_number interval, seconds;
   cli_count in_flight, radii, large_radii;

@@ -16,22 +16,15 @@ static const cli_option options[] = {
     CLI_OPTION(NUMBER, tolerance, "0.01",
                "largest relative error, at each query, that groups of points may cause which stand "
                "for their points: 1e-9 to .5, or 0 for none"),
-    CLI_OPTION(NUMBER, least_distance, NULL,
-               "no distance between a query and a point counts as less than X mm (default: 0); all "
-               "points are then summed one by one. Where R grows like 1/r, half the radius of a "
-               "disc of a point's area is right: the mean of 1/r over the disc"),
     CLI_DEADLINE_OPTION,
     {0},
 };
 
 static int check(cli_settings *settings) {
-  const double least_mm = settings->least_distance.value;
   if (settings->operand == NULL || settings->second_operand == NULL) {
     return cli_fail_usage("name two files: the points, and the queries");
   }
-  return least_mm >= 0 && least_mm < (double)INFINITY
-             ? cli_medium_check(settings)
-             : cli_fail_usage("--least-distance: give a number of at least 0, in mm");
+  return cli_medium_check(settings);
 }
 
 /* ---- files ----------------------------------------------------------------------------------- */
@@ -136,61 +129,6 @@ static int fail_at(const work *of, const dipole_error *error) {
   return cli_fail_error_of(place, error);
 }
 
-/* Sums the points one by one for a query, none of them nearer than --least-distance. r: room for a
- * radius of each. */
-static bool sum_directly(const work *of, const double *query_mm, double *r, double *M,
-                         dipole_error *error) {
-  const bool is_double = of->query.evaluator == DIPOLE_F64;
-  const cloud *points = &of->points;
-  const uint32_t channels = points->channels;
-  for (uint64_t i = 0; i < points->count; i++) {
-    const double *at = points->xyz_mm + 3 * i;
-    const double r_mm =
-        fmax(hypot(hypot(at[0] - query_mm[0], at[1] - query_mm[1]), at[2] - query_mm[2]),
-             of->settings->least_distance.value);
-    if (is_double) {
-      r[i] = r_mm;
-    } else {
-      ((float *)(void *)r)[i] = (float)r_mm;
-    }
-  }
-  const dipole_query query = {.model = of->query.model,
-                              .evaluator = of->query.evaluator,
-                              .moments = of->query.moments,
-                              .wanted = DIPOLE_R,
-                              .media = of->query.media,
-                              .medium_count = channels,
-                              .spacing = DIPOLE_LIST,
-                              .radii = r,
-                              .radius_count = points->count,
-                              .deadline_ms = of->query.deadline_ms};
-  dipole_result *result;
-  if (!CLI_RETRY(of->settings, error, dipole_eval(of->client, &query, &result, error))) {
-    return false;
-  }
-  for (uint32_t c = 0; c < channels; c++) {
-    const dipole_channel *channel = &result->channels[c];
-    for (uint64_t i = 0; i < points->count; i++) {
-      M[c] += (is_double ? channel->R_f64[i] : (double)channel->R_f32[i]) *
-              (double)points->power_W[i * channels + c];
-    }
-  }
-  dipole_result_free(result);
-  return true;
-}
-
-/* Computes the sums of all queries point by point. */
-static bool sum_all(work *of, dipole_error *error) {
-  const uint64_t count = of->queries.count;
-  double *r = cli_allocate(of->points.count, sizeof *r);
-  bool good = true;
-  for (uint64_t q = 0; good && q < count && !cli_interrupted(); q++) {
-    good = sum_directly(of, of->queries.xyz_mm + 3 * q, r, of->M + q * of->points.channels, error);
-    show_queries(&of->progress, q, count);
-  }
-  return good;
-}
-
 /* Sets M to the sums. Returns an exit status. */
 static int request_sums(work *of) {
   dipole_error error;
@@ -218,11 +156,9 @@ static int request_sums(work *of) {
   };
   cli_catch_interrupt();
   cli_progress_start(&of->progress, "queries");
-  const bool good = of->settings->least_distance.value > 0
-                        ? sum_all(of, &error)
-                        : CLI_RETRY(of->settings, &error,
-                                    dipole_gather(of->client, &of->query, show_queries,
-                                                  &of->progress, of->M, &result, &error));
+  const bool good = CLI_RETRY(
+      of->settings, &error,
+      dipole_gather(of->client, &of->query, show_queries, &of->progress, of->M, &result, &error));
   cli_progress_wipe(&of->progress);
   dipole_points_free(set);
   return !good               ? fail_at(of, &error)
@@ -243,8 +179,8 @@ static void report_infinite(const work *of) {
   }
   if (found > 0) {
     cli_say(CLI_OK,
-            "%llu of %llu queries are at a point, where R of %s is infinite: M is inf there; give "
-            "--least-distance, half the radius of a disc of a point's area",
+            "%llu of %llu queries are at a point, where R of %s is infinite: M is inf there; move "
+            "them off the points by half the radius of a disc of a point's area",
             (unsigned long long)found, (unsigned long long)of->queries.count,
             of->profile.model->name);
   }
@@ -296,12 +232,14 @@ const cli_command cli_command_gather = {
     .operand = "POINTS",
     .second_operand = "QUERIES",
     .about = "Sum the light that points leave at other positions",
-    .more = "Each point holds power that entered the medium there: irradiance times area. Each "
-            "query gets the sum of R(distance) times power over all points, in W/mm^2, for each "
-            "channel (Jensen and Buhler 2002). POINTS and QUERIES are CSV with the columns x, y, z "
-            "in mm, and power, or power_1, power_2 and so on, in W; - is standard input. What is "
-            "written has the columns M_1, M_2 and so on. At a point's own position R is infinite "
-            "for most models, and so is the sum: see --least-distance." CLI_CSV_TEXT,
+    .more =
+        "Each point holds power that entered the medium there: irradiance times area. Each "
+        "query gets the sum of R(distance) times power over all points, in W/mm^2, for each "
+        "channel (Jensen and Buhler 2002). POINTS and QUERIES are CSV with the columns x, y, z "
+        "in mm, and power, or power_1, power_2 and so on, in W; - is standard input. What is "
+        "written has the columns M_1, M_2 and so on. At a point's own position R is infinite "
+        "for most models, and so is the sum: move such queries off the points, along the normal, "
+        "by half the radius of a disc of a point's area." CLI_CSV_TEXT,
     .formats = "csv,table,json",
     .options = {cli_medium_options, cli_layer_options, options},
     .examples = "  dipole gather points.csv queries.csv --medium skin1 --tolerance 1e-3 > M.csv\n"

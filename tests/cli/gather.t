@@ -13,12 +13,7 @@ $ dipole gather points.csv points.csv --sigma-a 0.032 --sigma-s 0.74
 x,y,z,M_1
 0,0,0,inf
 1,0,0,inf
-! dipole gather: 2 of 2 queries are at a point, where R of transport is infinite: M is inf there; give --least-distance, half the radius of a disc of a point's area
-
-$ dipole gather points.csv points.csv --sigma-a 0.032 --sigma-s 0.74 --least-distance 0.1
-x,y,z,M_1
-0,0,0,0.3385161245241761
-1,0,0,0.18103417940437794
+! dipole gather: 2 of 2 queries are at a point, where R of transport is infinite: M is inf there; move them off the points by half the radius of a disc of a point's area
 
 $ dipole gather points.csv queries.csv --sigma-a 0.032 --sigma-s 0.74 --model better --format json
 {
@@ -78,11 +73,6 @@ $ dipole gather points.csv queries.csv --medium skin1 --channel red --tolerance 
 $ dipole gather points.csv queries.csv --medium skin1 --channel red --tolerance 0.9
 ! dipole gather: bad-value: tolerance: allowed: 1e-9 to 0.5; or 0: each point is summed by itself (--tolerance)
 ? 1
-
-$ dipole gather points.csv queries.csv --medium skin1 --channel red --least-distance -1
-! dipole gather: --least-distance: give a number of at least 0, in mm
-! `dipole gather --help` says more.
-? 2
 
 $ dipole gather none.csv queries.csv --medium skin1 --channel red
 ! dipole gather: none.csv: No such file or directory
