@@ -217,13 +217,9 @@ void http_text_numbers(struct http_text *text, const char *key, const void *valu
 }
 
 void http_text_count(struct http_text *text, const char *key, uint64_t value) {
-  char digits[24], *at = digits + sizeof digits - 1;
-  *at = '\0';
-  do {
-    *--at = (char)('0' + value % 10);
-    value /= 10;
-  } while (value > 0);
-  http_text_raw(text, key, at);
+  char digits[24];
+  snprintf(digits, sizeof digits, "%llu", (unsigned long long)value);
+  http_text_raw(text, key, digits);
 }
 
 void http_text_bool(struct http_text *text, const char *key, bool value) {

@@ -191,7 +191,7 @@ static bool cancel_requests(void *canceller, uint64_t request_id) {
       job->kind->stop(job, JOB_CANCELLED);
     } else {
       one->waits = false;
-      run_give_up(&one->run, &error);
+      run_end(&one->run, &error);
     }
   }
   return found;
@@ -203,11 +203,11 @@ bool requests_give_up(struct requests *r) {
   bool any = r->run.state == RUN_WAITS;
   struct detached *one;
   if (any) {
-    run_give_up(&r->run, &error);
+    run_end(&r->run, &error);
   }
   TAILQ_FOREACH(one, &r->detached, in_requests) {
     if (one->run.state == RUN_WAITS && one->type->kind->stop == NULL) {
-      run_give_up(&one->run, &error);
+      run_end(&one->run, &error);
       any = true;
     }
   }

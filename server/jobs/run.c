@@ -28,15 +28,11 @@ void run_drop(struct run *run) {
   run->state = RUN_IDLE;
 }
 
-static void finish_run(struct run *run, const wire_error *refusal) {
+void run_end(struct run *run, const wire_error *refusal) {
   run->latency =
       refusal != NULL && run->job->latency != LATENCY_NONE ? LATENCY_REFUSED : run->job->latency;
   run_drop(run);
   run->sink->end(run, refusal);
-}
-
-void run_give_up(struct run *run, const wire_error *refusal) {
-  finish_run(run, refusal);
 }
 
 bool run_is_late(const struct run *run, const struct job_context *context) {
@@ -53,7 +49,7 @@ bool run_expire(struct run *run) {
     return false;
   }
   const wire_error error = late_error();
-  finish_run(run, &error);
+  run_end(run, &error);
   return true;
 }
 
@@ -75,7 +71,7 @@ static void begin_part(struct run *run) {
     return;
   }
   if (payload == NULL) { /* the reply ends after the complete parts */
-    finish_run(run, &error);
+    run_end(run, &error);
     return;
   }
   run->part_open = true;
@@ -85,7 +81,7 @@ static void begin_part(struct run *run) {
     commit_part(run, done);
   }
   if (done) {
-    finish_run(run, NULL);
+    run_end(run, NULL);
   }
 }
 
@@ -107,10 +103,10 @@ static void follow_outcome(struct run *run, enum job_outcome outcome) {
     return;
   case JOB_DONE:
     commit_part(run, true);
-    finish_run(run, NULL);
+    run_end(run, NULL);
     return;
   case JOB_REFUSED:
-    finish_run(run, &run->job->refusal);
+    run_end(run, &run->job->refusal);
     return;
   }
 }

@@ -54,8 +54,8 @@ void run_step(struct run *run, uint64_t *budget);
 /* Does steps until the budget is spent, the job waits, or it has ended. */
 void run_on(struct run *run, uint64_t *budget);
 
-/* Ends the job with a refusal. */
-void run_give_up(struct run *run, const wire_error *refusal);
+/* Ends the job with a refusal, or, if that is NULL, with its last part. */
+void run_end(struct run *run, const wire_error *refusal);
 
 /* Returns whether there is a deadline that has passed, also before the start. */
 bool run_is_late(const struct run *run, const struct job_context *context);
