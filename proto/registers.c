@@ -85,23 +85,18 @@ static unsigned unmirrored(unsigned address) {
   return is_mirror(address) ? address - REGISTERS_MIRROR : address;
 }
 
-/* 1 for the types whose values have two words, which the mirror swaps. Such values start at even
+/* Whether the mirror swaps the words of values: it does if there are two. Such values start at even
  * addresses. */
-#define SWAP_U16 0
-#define SWAP_U32 1
-#define SWAP_F32 1
-#define SWAP_F64 0
-#define SWAP_TEXT 0
-#define SWAP_BITS 0
+#define SWAP(TYPE) (WIDTH_##TYPE == 2)
 
 static const uint8_t swap_at[REGISTERS_END] = {
 #define REGISTERS_FIELD(IDENT, address, count, TYPE, ...)                                          \
-  [(address)...(address) + (count)*WIDTH_##TYPE - 1] = SWAP_##TYPE,
+  [(address)...(address) + (count)*WIDTH_##TYPE - 1] = SWAP(TYPE),
 #include "proto/registers.def"
 };
 
 #define REGISTERS_FIELD(IDENT, address, count, TYPE, ...)                                          \
-  _Static_assert(!SWAP_##TYPE || (address) % 2 == 0, "the mirror is found by the lowest bit");
+  _Static_assert(!SWAP(TYPE) || (address) % 2 == 0, "the mirror is found by the lowest bit");
 #include "proto/registers.def"
 
 static bool is_mirrored(unsigned address) {
@@ -160,13 +155,6 @@ unsigned registers_of_field(const registers_job *job, const char *field, uint64_
 }
 
 /* ---- values ---------------------------------------------------------------------------------- */
-
-static float float_of(uint16_t high, uint16_t low) {
-  const uint32_t bits = (uint32_t)high << 16 | low;
-  float value;
-  memcpy(&value, &bits, sizeof value);
-  return value;
-}
 
 uint16_t registers_word(const uint16_t image[REGISTERS_END], unsigned address) {
   return image[image_index(address)];
@@ -340,9 +328,9 @@ static double value_of(const registers_field *field, const uint8_t *words, bool 
     return one;
   }
   const uint16_t other = word_at(words, 1);
-  const uint16_t high = swapped ? other : one, low = swapped ? one : other;
-  return field->type == REGISTERS_F32 ? (double)float_of(high, low)
-                                      : (double)((uint32_t)high << 16 | low);
+  const uint16_t value[] = {swapped ? other : one, swapped ? one : other};
+  return field->type == REGISTERS_F32 ? (double)registers_f32(value, 0)
+                                      : (double)registers_u32(value, 0);
 }
 
 wire_error registers_check(unsigned address, unsigned count, const uint8_t *values, unsigned *at) {

@@ -156,20 +156,20 @@ const registers_field *registers_named(const registers_job *job, const char *nam
  * array. Returns the register of the commit if the field has no register. */
 unsigned registers_of_field(const registers_job *job, const char *field, uint64_t index);
 
-/* These read one value of an image. */
-static inline uint16_t registers_u16(const uint16_t image[REGISTERS_END], unsigned address) {
+/* These read one value of an image, or of registers. */
+static inline uint16_t registers_u16(const uint16_t *image, unsigned address) {
   return image[address];
 }
 
-static inline float registers_f32(const uint16_t image[REGISTERS_END], unsigned address) {
-  const uint32_t bits = (uint32_t)image[address] << 16 | image[address + 1];
+static inline uint32_t registers_u32(const uint16_t *image, unsigned address) {
+  return (uint32_t)image[address] << 16 | image[address + 1];
+}
+
+static inline float registers_f32(const uint16_t *image, unsigned address) {
+  const uint32_t bits = registers_u32(image, address);
   float value;
   memcpy(&value, &bits, sizeof value);
   return value;
-}
-
-static inline uint32_t registers_u32(const uint16_t image[REGISTERS_END], unsigned address) {
-  return (uint32_t)image[address] << 16 | image[address + 1];
 }
 
 /* Returns the register at any address, of a mirror too. */
