@@ -62,8 +62,9 @@ static const struct level levels[LEVELS] = {
      {{0.3, {6, 14, 5}}, {1, {8, 16, 5}}, {3, {11, 20, 6}}, {9, {12, 26, 8}}}},
 };
 
-/* At most so many grids are solved, and the next one only if those that are left promise to reach
- * the tolerance of R or of T: each is up to so many times as good as the one before. */
+/* At most so many grids are solved, the finest for a tolerance below 1e-3 only, and the next one only
+ * if those that are left promise to reach the tolerance of R or of T: each is up to so many times as
+ * good as the one before. */
 enum { GRIDS_MOST = 4 };
 #define GAIN 4.0
 
@@ -295,7 +296,8 @@ static void place_wavenumbers(struct grid *to, const struct solver_layers *of,
   exitance_grid *above = &to->wavenumbers[0], *below = &to->wavenumbers[1];
   solver_exitance_place(below, NULL, to->rate, by->share, all_least, by->nodes, end);
   *above = *below;
-  while (creal(above->point[above->panels - 1]) >= last_above) {
+  /* Panels double in width: the last one ends nearest to what R needs. */
+  while (creal(above->point[above->panels - 1]) >= 0.7 * last_above) {
     above->panels--;
   }
   above->tier_end[TIERS - 1] = creal(above->point[above->panels]);
@@ -564,15 +566,16 @@ core_fault solver_layers_solve(solver_layers **solution, const core_isa *isa,
   solver_layers *made = new_solution(layer, count, eta_below);
   bool ok = made != NULL;
   const size_t first = tolerance < 3e-3 ? 2 : 0;
+  const size_t end = first == 0 ? GRIDS_MOST : tolerance < 1e-3 ? LEVELS : LEVELS - 1;
   double worst[SIDES] = {INFINITY, INFINITY}, before[SIDES];
   bool hopes = true;
-  for (size_t level = first; ok && hopes && level < LEVELS && level < first + GRIDS_MOST; level++) {
+  for (size_t level = first; ok && hopes && level < end; level++) {
     ok = add_grid(made, level, isa, stop);
     if (ok && level > first) {
       memcpy(before, worst, sizeof before);
       find_errors(made, worst);
       double most = tolerance;
-      for (size_t i = level + 1; i < LEVELS && i < first + GRIDS_MOST; i++) {
+      for (size_t i = level + 1; i < end; i++) {
         most *= GAIN;
       }
       hopes = false;
