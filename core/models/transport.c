@@ -310,30 +310,47 @@ static double absorbed_of(const core_medium *medium) {
   return medium->sigma_a_per_mm / core_sigma_t_prime(medium);
 }
 
+static void take_layers(const core_inputs *inputs, solver_layer layer[CORE_LAYERS_MAX]) {
+  for (uint32_t i = 0; i < inputs->parameters->layer_count; i++) {
+    const core_medium *from = &inputs->medium[i];
+    layer[i] = (solver_layer){from->sigma_a_per_mm, from->sigma_s_per_mm, from->g, from->eta,
+                              from->thickness_mm > 0 ? from->thickness_mm : (double)INFINITY};
+  }
+}
+
+static double eta_below_of(const core_inputs *inputs) {
+  return core_parameter_or(inputs, CORE_PARAMETER_ETA_BELOW, 1);
+}
+
+static bool scatters(const core_inputs *inputs) {
+  bool any = false;
+  for (uint32_t i = 0; i < inputs->parameters->layer_count; i++) {
+    any |= inputs->medium[i].sigma_s_per_mm > 0;
+  }
+  return any;
+}
+
 /* The smallest and the largest thickness of a layer, in mean free paths of the layer. */
 #define LAYER_LEAST 1e-4
 #define LAYER_MOST 1e4
 
 static core_fault check_layers(const core_inputs *inputs) {
   const uint32_t count = inputs->parameters->layer_count;
-  core_fault fault = {0};
-  for (uint32_t i = 0; i < count && fault.field == NULL; i++) {
+  for (uint32_t i = 0; i < count; i++) {
     const core_medium *layer = &inputs->medium[i];
     const double mfps = layer->thickness_mm * core_sigma_t_prime(layer);
-    if (!(layer->g >= -G_MOST && layer->g <= G_MOST)) {
-      fault = (core_fault){"g", "-0.99 to 0.99 with transport of layers", 0};
-    } else if (!(layer->eta >= TRANSPORT_ETA_MIN && layer->eta <= TRANSPORT_ETA_MAX)) {
-      fault = (core_fault){"eta", "0.25 to 4 with transport", 0};
-    } else if (layer->thickness_mm > 0 && !(mfps >= LAYER_LEAST && mfps <= LAYER_MOST)) {
-      fault = (core_fault){
-          "thickness", "1e-4 to 1e4 mean free paths; one is 1 / (sigma_a + sigma_s (1 - g)) mm", 0};
+    if (layer->thickness_mm > 0 && !(mfps >= LAYER_LEAST && mfps <= LAYER_MOST)) {
+      return (core_fault){
+          "thickness", "1e-4 to 1e4 mean free paths; one is 1 / (sigma_a + sigma_s (1 - g)) mm", i};
     }
-    fault.index = i;
   }
-  if (fault.field == NULL && !isnan(inputs->parameters->value[CORE_PARAMETER_GAMMA])) {
-    fault = (core_fault){"gamma", "nothing with layers: it is of one half space", 0};
+  if (!isnan(inputs->parameters->value[CORE_PARAMETER_GAMMA])) {
+    return (core_fault){"gamma", "nothing with layers: it is of one half space", 0};
   }
-  return fault;
+  solver_layer layer[CORE_LAYERS_MAX];
+  take_layers(inputs, layer);
+  return scatters(inputs) ? solver_layers_check(layer, count, eta_below_of(inputs))
+                          : (core_fault){0};
 }
 
 core_fault core_transport_check(const core_inputs *inputs, core_radii_range *radii) {
@@ -1087,18 +1104,6 @@ static void extend_errors(const struct source *source, double end, core_added_er
   }
 }
 
-static void take_layers(const core_inputs *inputs, solver_layer layer[CORE_LAYERS_MAX]) {
-  for (uint32_t i = 0; i < inputs->parameters->layer_count; i++) {
-    const core_medium *from = &inputs->medium[i];
-    layer[i] = (solver_layer){from->sigma_a_per_mm, from->sigma_s_per_mm, from->g, from->eta,
-                              from->thickness_mm > 0 ? from->thickness_mm : (double)INFINITY};
-  }
-}
-
-static double eta_below_of(const core_inputs *inputs) {
-  return core_parameter_or(inputs, CORE_PARAMETER_ETA_BELOW, 1);
-}
-
 /* Adds what a difference of two solutions by ln sigma_a, or ln sigma_s, of one layer contributes to its
  * derivative. */
 static core_fault differ_layers(const core_inputs *inputs, const struct source *source,
@@ -1237,14 +1242,6 @@ static core_fault prepare_layers(const core_inputs *inputs, double tolerance,
   }
   solver_layers_free(solution);
   return fault;
-}
-
-static bool scatters(const core_inputs *inputs) {
-  bool any = false;
-  for (uint32_t i = 0; i < inputs->parameters->layer_count; i++) {
-    any |= inputs->medium[i].sigma_s_per_mm > 0;
-  }
-  return any;
 }
 
 /* ---- preparing -------------------------------------------------------------------------------- */

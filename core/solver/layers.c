@@ -73,6 +73,9 @@ enum { GRIDS_MOST = 4 };
  * by 3.7. */
 #define MARGIN 4.0
 
+/* A layer of less depth does not cut off enough of its phase function to count. */
+#define CUT_DEPTH 0.02
+
 /* X on the path is known as well as this part of the floor far away, relative. Where its
  * contributions cancel, far from the beam and in T of slabs that let nearly nothing through, it
  * counts more. What is smaller by DIGITS than 1 per squared reduced mean free path is not known. */
@@ -464,8 +467,7 @@ static core_fault check_layer(const solver_layer *layer, size_t i, bool last) {
              : no_fault;
 }
 
-static core_fault check_layers(const solver_layer *layer, size_t count, double eta_below,
-                               double tolerance) {
+core_fault solver_layers_check(const solver_layer *layer, size_t count, double eta_below) {
   if (count < 1 || count > SOLVER_LAYERS_MAX) {
     return (core_fault){"layer_count", "1 to 8", 0};
   }
@@ -485,10 +487,7 @@ static core_fault check_layers(const solver_layer *layer, size_t count, double e
                           "sigma_a + sigma_s of a tenth of the largest, but in the last layer", i};
     }
   }
-  return !is_eta(eta_below) ? (core_fault){"eta_below", "0.25 to 4", 0}
-         : !(tolerance >= 0 && tolerance < (double)INFINITY)
-             ? (core_fault){"tolerance", "not negative, finite", 0}
-             : no_fault;
+  return is_eta(eta_below) ? no_fault : (core_fault){"eta_below", "0.25 to 4", 0};
 }
 
 /* Below this many times 1 / K, R and T are made of waves beyond K, which both grids guess. */
@@ -498,6 +497,15 @@ static core_fault check_layers(const solver_layer *layer, size_t count, double e
  * is for. */
 static void find_errors(solver_layers *of, double worst[SIDES]) {
   const struct grid *fine = of->grid[0];
+  double margin = MARGIN;
+  for (size_t i = 0; i < of->count; i++) {
+    const stack_layer *layer = &fine->layer[i];
+    const solver_phase phase = {.g = layer->g};
+    margin = layer->extinction * layer->thickness < CUT_DEPTH
+                 ? margin
+                 : fmax(margin, MARGIN * solver_shared_by_cuts(&phase, fine->moments,
+                                                               of->grid[1]->moments));
+  }
   for (size_t side = 0; side < of->sides; side++) {
     const exitance_grid *known = &fine->wavenumbers[side];
     const double guessed = GUESSED / creal(known->point[known->panels]);
@@ -510,7 +518,7 @@ static void find_errors(solver_layers *of, double worst[SIDES]) {
       const double r_mm = r * of->radius_mm, units = r_mm / fine->unit_mm;
       const double value = value_at(fine, side, r_mm, &size);
       const double error =
-          solver_error_between(MARGIN, value, value_at(of->grid[1], side, r_mm, &size));
+          solver_error_between(margin, value, value_at(of->grid[1], side, r_mm, &size));
       above = fmax(error, units < guessed ? above : 0);
       of->error[side][i] = above;
       const bool counts =
@@ -559,9 +567,9 @@ core_fault solver_layers_solve(solver_layers **solution, const core_isa *isa,
                                const solver_layer *layer, size_t count, double eta_below,
                                double tolerance, const atomic_bool *stop) {
   *solution = NULL;
-  const core_fault fault = check_layers(layer, count, eta_below, tolerance);
-  if (fault.field != NULL) {
-    return fault;
+  const core_fault fault = solver_layers_check(layer, count, eta_below);
+  if (fault.field != NULL || !(tolerance >= 0 && tolerance < (double)INFINITY)) {
+    return fault.field != NULL ? fault : (core_fault){"tolerance", "not negative, finite", 0};
   }
   solver_layers *made = new_solution(layer, count, eta_below);
   bool ok = made != NULL;
@@ -593,7 +601,7 @@ core_fault solver_layers_solve_level(solver_layers **solution, const core_isa *i
                                      size_t level, const atomic_bool *stop) {
   assert(level < LEVELS);
   *solution = NULL;
-  const core_fault fault = check_layers(layer, count, eta_below, 0);
+  const core_fault fault = solver_layers_check(layer, count, eta_below);
   if (fault.field != NULL) {
     return fault;
   }

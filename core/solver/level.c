@@ -131,6 +131,15 @@ double solver_beam_reflectance(double one, double other) {
 
 /* ---- errors by two grids ------------------------------------------------------------------- */
 
+/* A grid cuts off a phase function's moments from one on that is larger than this where its basis
+ * does not resolve them. Its error is taken to be in proportion to the first of them. */
+#define CUT_COUNTS 1e-3
+
+double solver_shared_by_cuts(const solver_phase *phase, size_t fine, size_t coarse) {
+  const double least = solver_moment_at(phase, fine), most = solver_moment_at(phase, coarse);
+  return least > CUT_COUNTS && most > least ? fmax(1, least / (most - least)) : 1;
+}
+
 double solver_error_between(double margin, double fine, double coarse) {
   const double least = coarse > 0 ? 0 : 1; /* by which they differ */
   const double error = fine > 0 ? margin * fmax(fabs(1 - coarse / fine), least) : 1;

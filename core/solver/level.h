@@ -88,6 +88,10 @@ enum { SOLVER_ERROR_RADII = 36 };
 /* Where this much of the light has decayed, by e to this power, no tolerance is kept. */
 #define SOLVER_DECAYS_MOST 20
 
+/* Returns the finer grid's error over the grids' difference, as far as moments of a phase function are
+ * cut off: at least 1. fine, coarse: the number of moments of each grid. */
+double solver_shared_by_cuts(const solver_phase *phase, size_t fine, size_t coarse);
+
 /* Returns the relative error of a value from its difference to that of the next coarser grid.
  * margin: error / difference. */
 double solver_error_between(double margin, double fine, double coarse);

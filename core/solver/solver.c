@@ -208,22 +208,12 @@ static double value_at(const solver_solution *of, const struct grid *grid, size_
 #define MARGIN_BACKWARD 4.0
 #define BACKWARD (-0.3)
 
-/* A grid cuts off a phase function's moments from one on that is larger than this where its basis
- * does not resolve them. Its error is taken to be in proportion to the first of them. */
-#define CUT_COUNTS 1e-3
-
-/* Returns the finer grid's error over the grids' difference, as far as moments are cut off; at least 1. */
-static double shared_by_cuts(const solver_solution *of, const solver_phase *phase) {
-  const double fine = solver_moment_at(phase, of->grid[0].scaled.medium.moments);
-  const double coarse = solver_moment_at(phase, of->grid[1].scaled.medium.moments);
-  return fine > CUT_COUNTS && coarse > fine ? fmax(1, fine / (coarse - fine)) : 1;
-}
-
 /* Sets the errors from the difference of the two grids. Returns the largest at radii for which a
  * tolerance holds. */
 static double find_errors(solver_solution *of, const solver_phase *phase) {
   of->margin = (solver_moment_at(phase, 1) < BACKWARD ? MARGIN_BACKWARD : MARGIN) *
-               shared_by_cuts(of, phase);
+               solver_shared_by_cuts(phase, of->grid[0].scaled.medium.moments,
+                                     of->grid[1].scaled.medium.moments);
   double worst = 0;
   for (size_t eta = 0; eta < of->count; eta++) {
     double r = SOLVER_ERROR_LEAST;

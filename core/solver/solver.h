@@ -126,17 +126,21 @@ typedef struct solver_balance {
 
 typedef struct solver_layers solver_layers;
 
+/* Returns what solver_layers_solve() refuses of layers, without solving: `layer_count`, with the
+ * index of the layer `sigma_a`, `sigma_s`, `g`, `eta` and `thickness`, and `eta_below`. A layer above
+ * the last one has a tenth or more of the largest sigma_a + sigma_s. */
+core_fault solver_layers_check(const solver_layer *layer, size_t count, double eta_below);
+
 /* Solves layers, from the top down, on which a pencil beam falls at right angles. Finer and finer
  * grids, at most four, are solved until two of them agree within the tolerance, relative, from 0.05
  * reduced mean free paths of the first layer on, or do not promise to. What holds is the error
- * beside each value: it is large for slabs thinner than a mean free path or so at all radii, and
- * for T near the axis behind layers of many mean free paths. Two layers take some 0.3 s of a
- * processor for a tolerance of 1e-2 and 2 to 6 s for 1e-3, each layer more as much again. count: 1
- * to SOLVER_LAYERS_MAX. eta_below: the index below a last layer of finite thickness over that above
- * all, in the range of eta. stop: NULL, or set by any thread. Faults: `layer_count`, and with the
- * index of the layer `sigma_a`, `sigma_s`, `g`, `eta` and `thickness`; `eta_below`, `tolerance`,
- * `memory`, CORE_FIELD_STOPPED. On a fault *solution is NULL. Otherwise the caller owns it and
- * frees it with solver_layers_free(), which accepts NULL. */
+ * beside each value: it is large for slabs thinner than half a mean free path at all radii, and for
+ * T near the axis behind layers of many mean free paths. Two layers take some 0.4 s of a processor
+ * for a tolerance of 1e-2 and 3 s for 1e-3, each layer more as much again. count: 1 to
+ * SOLVER_LAYERS_MAX. eta_below: the index below a last layer of finite thickness over that above all,
+ * in the range of eta. stop: NULL, or set by any thread. Faults: those of solver_layers_check(),
+ * `tolerance`, `memory`, CORE_FIELD_STOPPED. On a fault *solution is NULL. Otherwise the caller owns
+ * it and frees it with solver_layers_free(), which accepts NULL. */
 core_fault solver_layers_solve(solver_layers **solution, const core_isa *isa,
                                const solver_layer *layer, size_t count, double eta_below,
                                double tolerance, const atomic_bool *stop);
