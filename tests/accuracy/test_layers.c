@@ -29,6 +29,18 @@ struct known {
   double r_mm, R, R_error, T, T_error;
 };
 
+static const solver_layer skin[] = {{1.5, 20, 0.8, 1.4, 0.06}, {0.03, 15, 0.8, 1.4, DEEP}};
+static const struct known of_skin[] = {
+    {0.0036363636, 1.8170136e+01, 2.8e-03, 0.0000000e+00, 0.0e+00},
+    {0.0097636364, 6.2251434e+00, 6.2e-04, 0.0000000e+00, 0.0e+00},
+    {0.026163636, 2.0036995e+00, 3.6e-04, 0.0000000e+00, 0.0e+00},
+    {0.0702, 6.5189221e-01, 4.8e-05, 0.0000000e+00, 0.0e+00},
+    {0.18834545, 2.4696698e-01, 2.0e-05, 0.0000000e+00, 0.0e+00},
+    {0.50527273, 7.9480739e-02, 1.6e-06, 0.0000000e+00, 0.0e+00},
+    {1.3554909, 1.1924243e-02, 2.4e-07, 0.0000000e+00, 0.0e+00},
+    {3.6363636, 5.1972151e-04, 1.0e-08, 0.0000000e+00, 0.0e+00},
+};
+
 static void expect_near(transport_number found, double truth, double error, double r_mm) {
   if (!(fabs(found.value - truth) <= found.error + error)) {
     fail_msg("%.9g at %g mm, not %.9g +- %.2g: stated %.2g", found.value, r_mm, truth, error,
@@ -60,17 +72,6 @@ static void compare(const solver_layer *layer, size_t count, const struct known 
 }
 
 UNIT_TEST(layers_are_those_of_another_program) {
-  static const solver_layer skin[] = {{1.5, 20, 0.8, 1.4, 0.06}, {0.03, 15, 0.8, 1.4, DEEP}};
-  static const struct known of_skin[] = {
-      {0.0036363636, 1.8170136e+01, 2.8e-03, 0.0000000e+00, 0.0e+00},
-      {0.0097636364, 6.2251434e+00, 6.2e-04, 0.0000000e+00, 0.0e+00},
-      {0.026163636, 2.0036995e+00, 3.6e-04, 0.0000000e+00, 0.0e+00},
-      {0.0702, 6.5189221e-01, 4.8e-05, 0.0000000e+00, 0.0e+00},
-      {0.18834545, 2.4696698e-01, 2.0e-05, 0.0000000e+00, 0.0e+00},
-      {0.50527273, 7.9480739e-02, 1.6e-06, 0.0000000e+00, 0.0e+00},
-      {1.3554909, 1.1924243e-02, 2.4e-07, 0.0000000e+00, 0.0e+00},
-      {3.6363636, 5.1972151e-04, 1.0e-08, 0.0000000e+00, 0.0e+00},
-  };
   compare(skin, 2, of_skin, sizeof of_skin / sizeof *of_skin, (double[]){0.394703611, 0});
   static const solver_layer slab[] = {{0.05, 10, 0.8, 1.4, 2}};
   static const struct known of_slab[] = {
@@ -106,6 +107,19 @@ UNIT_TEST(layers_are_those_of_another_program) {
   };
   compare(backward, 1, of_backward, sizeof of_backward / sizeof *of_backward,
           (double[]){0.387594053, 0.213319071});
+}
+
+UNIT_TEST(a_tolerance_is_kept_near_the_beam) {
+  solver_layers *solution;
+  unit_assert_fault(
+      solver_layers_solve(&solution, core_isa_select(NULL), skin, 2, skin[1].eta, 1e-3, NULL), NULL,
+      0);
+  for (size_t i = 1; i < sizeof of_skin / sizeof *of_skin; i++) { /* from 0.05 mean free paths on */
+    const transport_number R = solver_layers_at(solution, 0, of_skin[i].r_mm);
+    expect_near(R, of_skin[i].R, of_skin[i].R_error, of_skin[i].r_mm);
+    assert_true(R.error <= 1e-3 * R.value);
+  }
+  solver_layers_free(solution);
 }
 
 /* Example of MCML's manual: layers that are ten times weaker below a strong one. Totals per launched
@@ -203,6 +217,10 @@ UNIT_TEST(layers_out_of_range_are_refused) {
                                           bad[i].count, bad[i].eta_below, bad[i].tolerance, NULL),
                       bad[i].field, bad[i].index);
     assert_null(solution);
+    if (bad[i].tolerance >= 0) { /* the same without solving */
+      unit_assert_fault(solver_layers_check(bad[i].layer, bad[i].count, bad[i].eta_below),
+                        bad[i].field, bad[i].index);
+    }
   }
   const atomic_bool stop = true;
   solver_layers *solution;
