@@ -111,7 +111,7 @@ $(SERVER): EXTRA_CPPFLAGS = $(call cflags,libuv libmicrohttpd libmodbus) $(TLS_C
 $(OBJ)/clients/c/tls.o: EXTRA_CPPFLAGS = $(TLS_CFLAGS)
 $(OBJ)/clients/cli/texture.o $(OBJ)/clients/cli/bake.o: EXTRA_CPPFLAGS = $(call cflags,libpng lcms2)
 $(OBJ)/clients/cli/material.o: EXTRA_CPPFLAGS = $(call cflags,expat jansson)
-$(OBJ)/core/models/gaussian_fit.o: EXTRA_CPPFLAGS = $(if $(filter yes,$(CMINPACK)),$(call cflags,cminpack))
+$(OBJ)/core/models/gaussian_fit.o $(OBJ)/core/fit/layers.o: EXTRA_CPPFLAGS = $(if $(filter yes,$(CMINPACK)),$(call cflags,cminpack))
 
 # Files that the assembler includes. A Content-Security-Policy names the script and the style of the
 # page of --http by the sums of what stands between the tags, in base64.

@@ -70,6 +70,12 @@ const core_choice core_coefficients[] = {
     END,
 };
 
+#define CORE_UNKNOWN(bit, IDENT, name, about) {bit, name, about},
+const core_choice core_unknowns[] = {
+#include "core/choices.def"
+    END,
+};
+
 #define CORE_LIGHT(id, IDENT, name, about) {id, name, about},
 const core_choice core_lights[] = {
 #include "core/choices.def"

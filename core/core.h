@@ -98,6 +98,11 @@ enum core_coefficient {
 #include "core/choices.def"
 };
 
+#define CORE_UNKNOWN(bit, IDENT, name, about) CORE_UNKNOWN_##IDENT = (bit),
+enum core_unknown {
+#include "core/choices.def"
+};
+
 #define CORE_NOTE(bit, IDENT, name, about) CORE_NOTE_##IDENT = (bit),
 enum core_note {
 #include "core/choices.def"
@@ -138,6 +143,7 @@ extern const core_choice core_phases[];
 extern const core_choice core_parameter_list[];
 extern const core_choice core_notes[];
 extern const core_choice core_coefficients[];
+extern const core_choice core_unknowns[];
 extern const core_choice core_lights[];
 extern const core_choice core_fit_scales[];
 extern const core_choice core_fit_axes[];

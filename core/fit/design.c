@@ -282,8 +282,8 @@ static double probability(size_t n, double x) {
   return sum * real_exp_signed(-y);
 }
 
-static void set_chi_squared_most(core_fit *fit) {
-  const size_t spare = fit_spare(fit) > 0 ? fit_spare(fit) : 1;
+double fit_chi_squared_most(size_t spare) {
+  spare = spare > 0 ? spare : 1;
   double least = 0, most = 30 + (double)spare + 6 * sqrt(2 * (double)spare);
   for (int i = 0; i < 60; i++) {
     const double middle = 0.5 * (least + most);
@@ -291,7 +291,7 @@ static void set_chi_squared_most(core_fit *fit) {
     least = plausible ? middle : least;
     most = plausible ? most : middle;
   }
-  fit->chi_squared_most = most;
+  return most;
 }
 
 static core_fault set_notes(core_fit *fit) {
@@ -380,7 +380,7 @@ static core_fault fill_design(core_fit *fit, const core_fit_design *design) {
   set_places(fit, design);
   set_falling(fit, design);
   set_bounds(fit, design);
-  set_chi_squared_most(fit);
+  fit->chi_squared_most = fit_chi_squared_most(fit_spare(fit));
   core_fault fault = set_notes(fit);
   if (fault.field == NULL) {
     fault = set_kernels(&fit->model);

@@ -124,4 +124,7 @@ bool fit_search_step(core_fit_search *search);
 /* Sets the result, after the search is done. */
 void fit_search_result(const core_fit_search *search, core_fit_result *result, double *residuals);
 
+/* Returns the chi-squared above which a fit is implausible. spare: readings less unknowns. */
+double fit_chi_squared_most(size_t spare);
+
 #endif

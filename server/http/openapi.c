@@ -268,7 +268,10 @@ static void put_reply_parts(struct http_text *text, const schema_payload *reply)
     put_list(text, "words", "{'type':'integer'}", "32 bits each");
   } else {
     for (const schema_part *part = reply->parts; part->name != NULL; part++) {
-      put_list(text, part->name, part->kind == SCHEMA_LIST ? REFERENCE("Offer") : NUMBER,
+      put_list(text, part->name,
+               part->kind != SCHEMA_LIST                     ? NUMBER
+               : part->structure->fields == FIELDS(estimate) ? REFERENCE("Estimate")
+                                                             : REFERENCE("Offer"),
                part->about);
     }
   }
@@ -309,6 +312,7 @@ static void put_schemas(struct http_text *text) {
   put_list(text, "M", NUMBER, "W/mm^2; the sums, in the order of the positions");
   put_json(text, "}}");
   put_object(text, "Offer", FIELDS(offer));
+  put_object(text, "Estimate", FIELDS(estimate));
   begin_object(text, "Channel", "");
   put_medium(text);
   put_json(text, ",'errors':{'type':'object','description':'of each wanted quantity',"

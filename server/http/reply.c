@@ -411,6 +411,7 @@ static const char *const list_names[] = {
     [WIRE_CHOICE_LIGHT] = "lights",
     [WIRE_CHOICE_VALUE] = "value_statuses",
     [WIRE_CHOICE_COEFFICIENT] = "coefficients",
+    [WIRE_CHOICE_UNKNOWN] = "unknowns",
 };
 
 void http_reply_write_models(const uint8_t *payload, struct http_text *text) {

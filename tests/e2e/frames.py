@@ -259,6 +259,15 @@ def fit_payload(
     ])  # fmt: skip
 
 
+def fit_layers_payload(
+    media=(SKIN,), at=(3.0,), values=(2.7e-3,), errors=(1e-5,), **fixed: int
+) -> bytes:
+    """Makes the payload of a fit of layers, of sigma_a_1. Counts fit unless `fixed` has others."""
+    fields = {"scale": 1, "unknowns": 1, "layer_count": len(media), "reading_count": len(at)}
+    arrays = np.concatenate([at, values, errors]).astype("<f8")
+    return wire.FIT_LAYERS_REQUEST.pack(**fields | fixed) + media_bytes(media) + arrays.tobytes()
+
+
 def ask(connection: Connection, type: int, payload: bytes = b"", request_id: int = 77) -> Frame:
     """Sends one request and waits for one frame."""
     connection.send_bytes(frame(type, request_id, payload))

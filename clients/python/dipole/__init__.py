@@ -35,7 +35,7 @@ from .gathering import Points, gather_at_home
 from .rings import RingMeans
 from .surface import Coefficients, Surface
 from .table import Table, TableErrors
-from .values import Choice, Draw, Errors, Fits, Gathered, Grid, Info, Inversion, McEnergy, McProgress, McResult
+from .values import Choice, Draw, Errors, Estimate, Fits, Gathered, Grid, Info, Inversion, LayersFit, McEnergy, McProgress, McResult
 from .values import McValue, Medium, Offer, Offers, Query, Result, Samples, Stack, Varying
 
 __version__ = "0.1.0"  # the version of the whole project, as in the Makefile
@@ -44,11 +44,11 @@ __version__ = "0.1.0"  # the version of the whole project, as in the Makefile
 __all__ = [
     "AddressError", "ArgumentError", "AsyncClient", "Choice", "Client", "Coefficients",
     "ConnectError",
-    "Connection", "ConnectionLost", "DipoleError", "Draw", "Errors", "Fits", "Frame", "Gathered", "Grid",
+    "Connection", "ConnectionLost", "DipoleError", "Draw", "Errors", "Estimate", "Fits", "Frame", "Gathered", "Grid",
     "Info",
     "Inversion",
     "McEnergy", "McProgress", "McResult", "McValue", "Medium", "Offer", "Offers", "Parts", "Points",
-    "LibraryError", "ProtocolError",
+    "LayersFit", "LibraryError", "ProtocolError",
     "Query", "Refused", "Result", "RingMeans", "Samples", "Stack", "Surface", "Table",
     "TableError",
     "TableErrors", "Tls", "Values", "Varying", "gather_at_home",

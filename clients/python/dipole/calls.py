@@ -154,6 +154,7 @@ class Calls:
     sample = Call(evaluation.sample)
     invert = Call(inversion.invert)
     fit = Call(fitting.fit)
+    fit_layers = Call(fitting.fit_layers)
     varying = Call(textures.varying)
     gather = Call(gathering.gather)
     mc = Call(walking.mc)

@@ -452,6 +452,27 @@ class Inversion:
         return np.stack([self.sigma_a, self.sigma_s, g, eta], axis=-1)
 
 
+class Estimate(NamedTuple):
+    """What was found of one unknown of a fit of layers."""
+
+    status: str  # "fitted", "at-bound" or "undetermined"
+    value: float  # in 1/mm or mm; NaN if undetermined
+    error: float  # its standard error; infinity unless fitted
+
+
+class LayersFit(NamedTuple):
+    """What was fitted to readings of layers."""
+
+    status: str  # only "fitted" is a success; "ambiguous": other values fit as well
+    estimates: dict[str, Estimate]  # by the names of the unknowns
+    factor: float  # of all readings; 1 unless the scale is "free"
+    factor_error: float  # its standard error
+    chi_squared: float
+    reduced_chi_squared: float  # over readings less unknowns; NaN if there are as many unknowns
+    numerical_error: float  # largest of R at the readings, relative; in no standard error
+    residuals: Array  # [N]: (value - factor R) / error
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Fits:
     """What was fitted to sets of readings. Arrays have the shape of the sets: that of the values of

@@ -1,0 +1,463 @@
+#include "core/fit/layers.h"
+
+#include <cminpack.h>
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "core/fit/search.h"
+#include "core/kernels.h"
+#include "core/solver/solver.h"
+
+#define CORE_REAL 64
+#include "core/kernel.h"
+
+enum { OF_LAYER = 3, MOST = CORE_UNKNOWNS + 1, STARTS = 3, CANDIDATES = 12 };
+enum { FIRST_LEVEL = 0, LAST_LEVEL = 1, EVALUATIONS_MAX = 24 };
+
+/* Difference of a logarithm for derivatives. */
+#define STEP 0x1p-5
+/* The standard error of a start's logarithms, which bounds what readings do not determine. */
+#define START_ERROR 3.0
+#define FTOL 1e-3
+#define XTOL 1e-3
+#define FIRST_STEP 1.0
+/* A second minimum differs by so many standard errors. */
+#define APART 5.0
+#define AT_BOUND 1e-3
+/* What solves the best medium in the end, where its error is computed. */
+#define TOLERANCE 1e-2
+
+/* Bounds of the search: products with the largest or the least distance. */
+#define SIGMA_A_LEAST 1e-5
+#define SIGMA_A_MOST 50.0
+#define SIGMA_S_LEAST 1e-2
+#define SIGMA_S_MOST 1e3
+#define THICKNESS_LEAST 1e-2
+#define THICKNESS_MOST 10.0
+
+/* The state of a search. Its unknowns are logarithms, that of a free factor is the last. */
+struct search {
+  const core_layers_fit_request *of;
+  const core_isa *isa;
+  const atomic_bool *stop;
+  int count, layered;               /* numbers of unknowns: all, and those of layers */
+  unsigned position[CORE_UNKNOWNS]; /* of the bit */
+  double least[MOST], most[MOST], start[MOST];
+  size_t level; /* for values; derivatives are those of FIRST_LEVEL */
+  unsigned evaluations;
+  core_fault fault; /* of the last evaluation */
+};
+
+/* ---- checking -------------------------------------------------------------------------------- */
+
+static double *member_of(core_medium *layer, unsigned position) {
+  core_medium *at = &layer[position / OF_LAYER];
+  return position % OF_LAYER == 0   ? &at->sigma_a_per_mm
+         : position % OF_LAYER == 1 ? &at->sigma_s_per_mm
+                                    : &at->thickness_mm;
+}
+
+/* Returns the number of unknowns, and of these of layers in *layered. */
+static size_t count_unknowns(const core_layers_fit_request *request, size_t *layered) {
+  *layered = 0;
+  for (unsigned i = 0; i < CORE_UNKNOWNS; i++) {
+    *layered += request->unknowns >> i & 1;
+  }
+  return *layered + (request->scale == CORE_FIT_SCALE_FREE);
+}
+
+/* Checks the layers, where unknowns have values of usual size. */
+static core_fault check_layers(const core_layers_fit_request *request) {
+  core_medium layer[CORE_LAYERS_MAX];
+  core_parameters parameters = core_parameters_none();
+  memcpy(layer, request->layer, request->layer_count * sizeof *layer);
+  parameters.layer_count = (uint32_t)request->layer_count;
+  for (unsigned i = 0; i < CORE_UNKNOWNS; i++) {
+    if ((request->unknowns >> i & 1) != 0) {
+      *member_of(layer, i) = 1;
+    }
+  }
+  return core_profile_check(CORE_MODEL_TRANSPORT, CORE_MOMENTS_EXACT, CORE_EVALUATOR_F64, layer,
+                            &parameters, NULL);
+}
+
+core_fault core_layers_fit_check(const core_layers_fit_request *request) {
+  size_t layered;
+  const size_t count = count_unknowns(request, &layered);
+  if (request->scale != CORE_FIT_SCALE_ABSOLUTE && request->scale != CORE_FIT_SCALE_FREE) {
+    return (core_fault){"scale", "absolute or free", 0};
+  }
+  if (layered == 0 || request->unknowns >> OF_LAYER * request->layer_count != 0 ||
+      request->unknowns >> CORE_UNKNOWNS != 0) {
+    return (core_fault){"unknowns", "at least one, of the layers that are given", 0};
+  }
+  if (request->count < count || request->count > CORE_FIT_READINGS_MAX) {
+    return (core_fault){"reading_count", "as many as there are unknowns, to 1024", 0};
+  }
+  for (size_t i = 0; i < request->count; i++) {
+    if (!(request->at[i] > 0 && isfinite(request->at[i]))) {
+      return (core_fault){"at", "above 0, and finite", i};
+    }
+    if (!isfinite(request->values[i])) {
+      return (core_fault){"values", "finite", i};
+    }
+    if (!(request->errors[i] > 0 && isfinite(request->errors[i]))) {
+      return (core_fault){"errors", "above 0, and finite", i};
+    }
+  }
+  return check_layers(request);
+}
+
+/* ---- the model of the readings --------------------------------------------------------------- */
+
+static double kept(const struct search *of, int k, double x) {
+  return fmin(fmax(x, of->least[k]), of->most[k]);
+}
+
+static void put_layers(const struct search *of, const double *x, solver_layer *to) {
+  core_medium layer[CORE_LAYERS_MAX];
+  memcpy(layer, of->of->layer, of->of->layer_count * sizeof *layer);
+  for (int k = 0; k < of->layered; k++) {
+    *member_of(layer, of->position[k]) = real_exp_signed(kept(of, k, x[k]));
+  }
+  for (size_t i = 0; i < of->of->layer_count; i++) {
+    const double thickness = layer[i].thickness_mm;
+    to[i] = (solver_layer){layer[i].sigma_a_per_mm, layer[i].sigma_s_per_mm, layer[i].g,
+                           layer[i].eta, thickness > 0 ? thickness : (double)INFINITY};
+  }
+}
+
+static double factor_at(const struct search *of, const double *x) {
+  return of->count > of->layered ? real_exp_signed(kept(of, of->layered, x[of->layered])) : 1;
+}
+
+/* Sets R[count], without the factor. Returns false on a fault. */
+static bool solve_readings(struct search *of, const double *x, size_t level, double *R) {
+  solver_layer layer[CORE_LAYERS_MAX];
+  solver_layers *solution;
+  put_layers(of, x, layer);
+  of->fault =
+      solver_layers_solve_level(&solution, of->isa, layer, of->of->layer_count, 1, level, of->stop);
+  of->evaluations++;
+  for (size_t i = 0; i < of->of->count && of->fault.field == NULL; i++) {
+    R[i] = solver_layers_at(solution, 0, of->of->at[i]).value;
+  }
+  solver_layers_free(solution);
+  return of->fault.field == NULL;
+}
+
+/* Sets column k of the derivatives of residuals, from R at x and by a difference to a neighbour. */
+static void differentiate(struct search *of, const double *x, int k, const double *R, double *J) {
+  double moved[MOST], other[CORE_FIT_READINGS_MAX];
+  const double factor = factor_at(of, x);
+  double step = STEP;
+  bool ok = k == of->layered;
+  memcpy(moved, x, (size_t)of->count * sizeof *x);
+  for (int i = 0; i < 2 && !ok && x[k] > of->least[k] && x[k] < of->most[k]; i++) {
+    step = i == 0 ? STEP : -STEP;
+    moved[k] = x[k] + step;
+    ok = solve_readings(of, moved, FIRST_LEVEL, other);
+  }
+  for (size_t i = 0; i < of->of->count; i++) {
+    const double by = k == of->layered ? R[i] : (other[i] - R[i]) / step;
+    J[i] = ok ? -factor * by / of->of->errors[i] : 0;
+  }
+}
+
+/* The function that lmder() calls: for task 1 it sets the residuals f, for task 2 their derivatives J,
+ * stored by columns. The last n of them are (x - start) / START_ERROR. A medium that the solver does
+ * not take is far off. */
+static int residuals_of(void *context, int m, int n, const double *x, double *f, double *J,
+                        int rows, int task) {
+  struct search *of = context;
+  const size_t count = of->of->count;
+  double R[CORE_FIT_READINGS_MAX];
+  const bool known = solve_readings(of, x, task == 1 ? of->level : FIRST_LEVEL, R);
+  (void)m;
+  if (solver_stops(of->stop)) {
+    return -1;
+  }
+  for (size_t i = 0; i < count && task == 1; i++) {
+    f[i] = known ? (of->of->values[i] - factor_at(of, x) * R[i]) / of->of->errors[i] : 1e10;
+  }
+  for (int k = 0; k < n; k++) {
+    if (task == 1) {
+      f[count + (size_t)k] = (x[k] - of->start[k]) / START_ERROR;
+      continue;
+    }
+    double *column = &J[(size_t)rows * (size_t)k];
+    memset(column, 0, (size_t)rows * sizeof *column);
+    if (known) {
+      differentiate(of, x, k, R, column);
+    }
+    column[count + (size_t)k] = 1 / START_ERROR;
+  }
+  return 0;
+}
+
+/* ---- searching ------------------------------------------------------------------------------- */
+
+/* A local minimum. */
+struct minimum {
+  double x[MOST], sd[MOST];
+  double chi_squared;
+  bool settled;
+};
+
+static double sum_of_squares(const double *f, size_t count) {
+  double sum = 0;
+  for (size_t i = 0; i < count; i++) {
+    sum += f[i] * f[i];
+  }
+  return sum;
+}
+
+/* Returns the value rounded to 24 bits: what lmder() rounds otherwise on another machine. */
+static double rounded(double value) {
+  const double huge = value * 0x1p29;
+  return (value + huge) - huge;
+}
+
+/* Minimizes from to->x. J: room for rows times unknowns. */
+static void minimize(struct search *of, size_t level, double *J, struct minimum *to) {
+  const int n = of->count, rows = (int)of->of->count + n;
+  double f[CORE_FIT_READINGS_MAX + MOST], work[CORE_FIT_READINGS_MAX + MOST];
+  double scale[MOST], qtf[MOST], more[3][MOST];
+  int pivots[MOST], calls, derivative_calls;
+  of->level = level;
+  memcpy(of->start, to->x, sizeof of->start);
+  const int info =
+      lmder(residuals_of, of, rows, n, to->x, f, J, rows, FTOL, XTOL, 0, EVALUATIONS_MAX, scale, 1,
+            FIRST_STEP, 0, &calls, &derivative_calls, pivots, qtf, more[0], more[1], more[2], work);
+  covar(n, J, rows, pivots, 0, more[0]);
+  for (int k = 0; k < n; k++) {
+    to->x[k] = rounded(kept(of, k, to->x[k]));
+    to->sd[k] = rounded(sqrt(J[(size_t)k * (size_t)rows + (size_t)k]));
+  }
+  to->chi_squared = sum_of_squares(f, of->of->count);
+  to->settled = info >= 1 && info <= 4;
+}
+
+/* ---- starts ---------------------------------------------------------------------------------- */
+
+static int by_distance(const void *a, const void *b) {
+  const double one = *(const double *)a, other = *(const double *)b;
+  return one < other ? -1 : one > other;
+}
+
+/* Sets sigma_a and sigma_s of the half space that fits the nearer or the farther half of the readings
+ * best, or what is usual for their distances. */
+static void fit_half_space(const struct search *of, const core_medium *like, bool far,
+                           core_medium *to) {
+  const core_layers_fit_request *request = of->of;
+  const size_t least = request->scale == CORE_FIT_SCALE_FREE ? 3 : 2;
+  const size_t half = request->count / 2 > least ? request->count / 2 : least;
+  const size_t count = half < request->count ? half : request->count;
+  double row[CORE_FIT_READINGS_MAX][3], column[3][CORE_FIT_READINGS_MAX];
+  for (size_t i = 0; i < request->count; i++) {
+    memcpy(row[i], ((double[]){request->at[i], request->values[i], request->errors[i]}),
+           sizeof row[i]);
+  }
+  qsort(row, request->count, sizeof *row, by_distance);
+  for (size_t i = 0; i < count; i++) {
+    for (int k = 0; k < 3; k++) {
+      column[k][i] = row[far ? request->count - count + i : i][k];
+    }
+  }
+  const double middle = column[0][count / 2];
+  const core_fit_design design = {.model = CORE_MODEL_TRANSPORT,
+                                  .moments = CORE_MOMENTS_EXACT,
+                                  .g = like->g,
+                                  .eta = like->eta,
+                                  .axis = CORE_FIT_AXIS_RADIUS,
+                                  .count = count,
+                                  .at = column[0],
+                                  .scale = request->scale};
+  core_fit *fit = NULL;
+  core_fit_result result = {.status = CORE_FIT_STATUS_REFUSED};
+  if (core_transport_stored_check(like->g, like->eta).field == NULL &&
+      core_fit_create(&fit, of->isa, &design).field == NULL) {
+    core_fit_run(fit, column[1], column[2], &result, NULL);
+  }
+  core_fit_free(fit);
+  const bool found = result.best.sigma_s_prime_per_mm > 0;
+  to->sigma_a_per_mm = found ? result.best.sigma_a_per_mm : 0.1 / middle;
+  to->sigma_s_per_mm = (found ? result.best.sigma_s_prime_per_mm : 10 / middle) / (1 - like->g);
+}
+
+/* Returns whether candidate number i differs from those before it in an unknown. */
+static bool is_new(unsigned unknowns, int i) {
+  const unsigned thickness = CORE_UNKNOWN_THICKNESS_1 | CORE_UNKNOWN_THICKNESS_2;
+  return (i % 3 == 0 || (unknowns & thickness) != 0) &&
+         (i / 3 % 2 == 0 || (unknowns & CORE_UNKNOWN_SIGMA_A_1) != 0) &&
+         (i / 6 == 0 || (unknowns & CORE_UNKNOWN_SIGMA_A_2) != 0);
+}
+
+/* Sets x of candidate number i. */
+static void place_candidate(const struct search *of, const core_medium guess[2], double middle_mm,
+                            int i, double *x) {
+  static const double shares[] = {0.1, 0.3, 1};
+  const double absorbs[] = {i / 3 % 2 == 0 ? 1 : 4, i / 6 == 0 ? 1 : 0.25};
+  for (int k = 0; k < of->layered; k++) {
+    const unsigned layer = of->position[k] / OF_LAYER, member = of->position[k] % OF_LAYER;
+    const double value = member == 0   ? guess[layer].sigma_a_per_mm * absorbs[layer]
+                         : member == 1 ? guess[layer].sigma_s_per_mm
+                                       : shares[i % 3] * middle_mm;
+    x[k] = kept(of, k, real_log(fmax(value, 1e-300), 0));
+  }
+}
+
+/* Sets the bounds, and the starts to the best of the candidates, the best one first. Returns how many there are. */
+static int find_starts(struct search *of, struct minimum start[STARTS]) {
+  const core_layers_fit_request *request = of->of;
+  core_medium guess[2] = {{0}};
+  double least_mm = (double)INFINITY, most_mm = 0;
+  for (size_t i = 0; i < request->count; i++) {
+    least_mm = fmin(least_mm, request->at[i]);
+    most_mm = fmax(most_mm, request->at[i]);
+  }
+  const double range[OF_LAYER][2] = {{SIGMA_A_LEAST / most_mm, SIGMA_A_MOST / least_mm},
+                                     {SIGMA_S_LEAST / most_mm, SIGMA_S_MOST / least_mm},
+                                     {THICKNESS_LEAST * least_mm, THICKNESS_MOST * most_mm}};
+  for (int k = 0; k < of->count; k++) {
+    const double *one = range[k < of->layered ? of->position[k] % OF_LAYER : 0];
+    of->least[k] = k < of->layered ? real_log(one[0], 0) : -600;
+    of->most[k] = k < of->layered ? real_log(one[1], 0) : 600;
+  }
+  for (size_t i = 0; i < 2 && i < request->layer_count; i++) {
+    fit_half_space(of, &request->layer[i], i > 0, &guess[i]);
+  }
+  int found = 0;
+  for (int i = 0; i < CANDIDATES && !solver_stops(of->stop); i++) {
+    struct minimum one = {.chi_squared = 0};
+    double R[CORE_FIT_READINGS_MAX], f[CORE_FIT_READINGS_MAX], along = 0, size = 0;
+    place_candidate(of, guess, sqrt(least_mm * most_mm), i, one.x);
+    if (!is_new(request->unknowns, i) || !solve_readings(of, one.x, FIRST_LEVEL, R)) {
+      continue;
+    }
+    for (size_t k = 0; k < request->count; k++) {
+      const double weight = 1 / (request->errors[k] * request->errors[k]);
+      along += weight * R[k] * request->values[k];
+      size += weight * R[k] * R[k];
+    }
+    const bool free_factor = of->count > of->layered && along > 0 && size > 0;
+    one.x[of->layered] = free_factor ? real_log(along / size, 0) : 0;
+    for (size_t k = 0; k < request->count; k++) {
+      f[k] = (request->values[k] - factor_at(of, one.x) * R[k]) / request->errors[k];
+    }
+    one.chi_squared = sum_of_squares(f, request->count);
+    int at = found < STARTS ? found++ : STARTS;
+    for (; at > 0 && one.chi_squared < start[at - 1].chi_squared; at--) {
+      if (at < STARTS) {
+        start[at] = start[at - 1];
+      }
+    }
+    if (at < STARTS) {
+      start[at] = one;
+    }
+  }
+  return found;
+}
+
+/* ---- results --------------------------------------------------------------------------------- */
+
+static enum core_fit_status status_of(const struct search *of, const struct minimum *best, int k) {
+  return best->x[k] < of->least[k] + AT_BOUND || best->x[k] > of->most[k] - AT_BOUND
+             ? CORE_FIT_STATUS_AT_BOUND
+         : best->sd[k] < CORE_FIT_LN_ERROR_MAX ? CORE_FIT_STATUS_FITTED
+                                               : CORE_FIT_STATUS_UNDETERMINED;
+}
+
+/* Returns whether another minimum is a second solution: it fits nearly as well, and an unknown that
+ * the readings determine differs. */
+static bool is_second(const struct search *of, const struct minimum *best,
+                      const struct minimum *other) {
+  bool apart = false;
+  for (int k = 0; k < of->layered; k++) {
+    apart |= status_of(of, best, k) == CORE_FIT_STATUS_FITTED &&
+             fabs(other->x[k] - best->x[k]) > APART * best->sd[k];
+  }
+  return apart && other->chi_squared < best->chi_squared + CORE_FIT_AMBIGUOUS;
+}
+
+/* Sets what the best medium of the search says, and its residuals by the final solution. */
+static core_fault put_result(struct search *of, const struct minimum *best, bool second,
+                             core_layers_fit *fit, double *residuals) {
+  const core_layers_fit_request *request = of->of;
+  const double factor = factor_at(of, best->x), none = (double)NAN;
+  const size_t spare = request->count - (size_t)of->count;
+  solver_layer layer[CORE_LAYERS_MAX];
+  solver_layers *solution;
+  put_layers(of, best->x, layer);
+  const core_fault fault =
+      solver_layers_solve(&solution, of->isa, layer, request->layer_count, 1, TOLERANCE, of->stop);
+  *fit = (core_layers_fit){.status = CORE_FIT_STATUS_FITTED,
+                           .unknown_count = (size_t)of->layered,
+                           .factor = factor,
+                           .evaluations = of->evaluations};
+  for (size_t i = 0; i < request->count && fault.field == NULL; i++) {
+    const transport_number R = solver_layers_at(solution, 0, request->at[i]);
+    residuals[i] = (request->values[i] - factor * R.value) / request->errors[i];
+    fit->numerical_error = fmax(fit->numerical_error, R.error / fmax(R.value, 1e-300));
+  }
+  solver_layers_free(solution);
+  fit->chi_squared = sum_of_squares(residuals, request->count);
+  fit->reduced_chi_squared = spare > 0 ? fit->chi_squared / (double)spare : none;
+  fit->factor_error = of->count > of->layered ? factor * best->sd[of->layered] : 0;
+  bool bound = false, vague = false;
+  for (int k = 0; k < of->layered; k++) {
+    const enum core_fit_status status = status_of(of, best, k);
+    const double value = real_exp_signed(best->x[k]);
+    const bool fitted = status == CORE_FIT_STATUS_FITTED;
+    fit->unknown[k] = (core_estimate){
+        .unknown = (enum core_unknown)(1U << of->position[k]),
+        .status = status,
+        .value = status == CORE_FIT_STATUS_UNDETERMINED ? none : value,
+        .error = fitted ? value * best->sd[k] : (double)INFINITY,
+    };
+    bound |= status == CORE_FIT_STATUS_AT_BOUND;
+    vague |= status == CORE_FIT_STATUS_UNDETERMINED;
+  }
+  fit->status = fit->chi_squared > fit_chi_squared_most(spare) ? CORE_FIT_STATUS_IMPLAUSIBLE
+                : bound                                        ? CORE_FIT_STATUS_AT_BOUND
+                : vague                                        ? CORE_FIT_STATUS_UNDETERMINED
+                : !best->settled                               ? CORE_FIT_STATUS_UNFINISHED
+                : second                                       ? CORE_FIT_STATUS_AMBIGUOUS
+                                                               : CORE_FIT_STATUS_FITTED;
+  return fault;
+}
+
+core_fault core_layers_fit_run(core_layers_fit *fit, const core_isa *isa,
+                               const core_layers_fit_request *request, double *residuals,
+                               const atomic_bool *stop) {
+  struct search search = {.of = request, .isa = isa, .stop = stop};
+  struct minimum found[STARTS];
+  for (unsigned i = 0; i < CORE_UNKNOWNS; i++) {
+    if ((request->unknowns >> i & 1) != 0) {
+      search.position[search.layered++] = i;
+    }
+  }
+  search.count = search.layered + (request->scale == CORE_FIT_SCALE_FREE);
+  double *J = malloc((request->count + MOST) * MOST * sizeof *J);
+  if (J == NULL) {
+    return (core_fault){CORE_FIELD_MEMORY, "enough for the fit", 0};
+  }
+  const int starts = find_starts(&search, found);
+  int at = 0;
+  for (int i = 0; i < starts && !solver_stops(stop); i++) {
+    minimize(&search, FIRST_LEVEL, J, &found[i]);
+    at = found[i].chi_squared < found[at].chi_squared ? i : at;
+  }
+  bool second = false;
+  for (int i = 0; i < starts; i++) {
+    second |= i != at && is_second(&search, &found[at], &found[i]);
+  }
+  if (starts > 0 && !solver_stops(stop)) {
+    minimize(&search, LAST_LEVEL, J, &found[at]);
+  }
+  free(J);
+  return solver_stops(stop) ? (core_fault){CORE_FIELD_STOPPED, "to be waited for", 0}
+         : starts == 0      ? search.fault
+                            : put_result(&search, &found[at], second, fit, residuals);
+}
