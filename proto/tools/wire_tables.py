@@ -71,7 +71,7 @@ def write_protocol(path: Path) -> None:
 JOB_COLUMNS = "name | eval | sample | invert | mc | fit | meaning"
 BLOCKS = {first: block for block in LISTS["blocks"] for first in [block[1]]}
 MIRROR = LISTS["mirror"]
-WITHOUT_REGISTERS = ("quantity", "status", "parameter", "light", "value", "coefficient")
+WITHOUT_REGISTERS = ("quantity", "status", "parameter", "light", "value", "coefficient", "unknown")
 
 
 def section(title: str, columns: str, rows: list[str]) -> str:
