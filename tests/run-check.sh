@@ -100,7 +100,7 @@ for part in $parts; do
     passed=$((passed + one))
     failed=$((failed + $(grep -c '^FAILED' "$logs/$part.log")))
     ;;
-  e2e | soak* | tls-long | balancer-long | blender | pipeline | packages)
+  e2e | soak* | tls-long | balancer-long | blender | pipeline | packages | plan | figures)
     passed=$((passed + $(pytest_count "$part" passed)))
     failed=$((failed + $(pytest_count "$part" failed) + $(pytest_count "$part" error)))
     skipped=$((skipped + $(pytest_count "$part" skipped)))

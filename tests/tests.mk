@@ -61,7 +61,7 @@ $(BUILD)/prometheus:
 
 .PHONY: check-programs check-nightly check-ci check-structure check-types check-unit check-units-long check-bits \
 	check-bits-aarch64 check-e2e check-again check-packages check-soak check-soak-long check-tls-long \
-	check-balancer-long check-blender check-plan plan scaling check-pipeline check-asan check-tsan check-fuzz \
+	check-balancer-long check-blender check-figures check-plan plan scaling check-pipeline check-asan check-tsan check-fuzz \
 	check-fuzz-long check-truth check-truth-long check-fits check-varying check-rings rings soak truth \
 	fuzz fuzz-merge bench
 
@@ -69,7 +69,7 @@ check-programs: $(TESTS) $(addprefix $(BUILD)/,dipoled-counting wire-lists soak-
 
 # What .ci/run runs after `make check`, and what else takes long. `make check-PART` runs one of them.
 CI_PARTS := bits-aarch64 soak-long tls-long pipeline packages deb
-NIGHTLY_PARTS := $(CI_PARTS) balancer-long+rings,truth-long plan fits+varying units-long fuzz-long blender
+NIGHTLY_PARTS := $(CI_PARTS) balancer-long+rings,truth-long plan figures fits+varying units-long fuzz-long blender
 check-ci: PARTS ?= $(CI_PARTS)
 check-nightly: PARTS ?= $(NIGHTLY_PARTS)
 check-ci: ## packages in a new system, aarch64, long loads
@@ -103,8 +103,10 @@ check-bits-aarch64: $(BUILD)/tests/bits
 
 PYTEST = env TESTED_BUILD=$(abspath $(BUILD)) PYTHONPATH=clients/python:tests/e2e PYTHONDONTWRITEBYTECODE=1 $(PYTHON) -m pytest -q -rfEs -p no:cacheprovider
 
+# Those that parts of `make check-nightly` run.
+APART := $(addprefix tests/e2e/test_,packages.py figures.py plan.py)
 check-e2e: all $(BUILD)/dipoled-counting $(BUILD)/soak-load ## tests of the programs
-	$(PYTEST) -n 2 --dist loadfile --durations=20 --ignore=tests/e2e/test_packages.py tests/e2e
+	$(PYTEST) -n 2 --dist loadfile --durations=20 $(APART:%=--ignore=%) tests/e2e
 
 # Runs the one test of tests/e2e that the variable TEST of the environment names.
 check-again:
@@ -145,6 +147,11 @@ scaling: all
 
 check-plan: all
 	@$(PLAN_COMMAND) --check
+	$(PYTEST) tests/e2e/test_plan.py
+
+# Figures and tables of the models, as `make figures` and `make tradeoff` draw them.
+check-figures: all
+	$(PYTEST) tests/e2e/test_figures.py
 
 # Eight threads, each with 256 requests under way.
 PIPELINE_REQUESTS ?= 10000000
@@ -192,7 +199,7 @@ fuzz-merge:
 	@$(PYTHON) tests/fuzz/fuzz.py build-fuzz/fuzz merge
 
 # A fixed seed. The long form has as many rounds as each class needs.
-check-truth: ROUNDS = 14
+check-truth: ROUNDS = 10
 check-truth-long: ROUNDS = 20
 check-truth check-truth-long: $(BUILD)/tests/accuracy/truth
 	@$(BUILD)/tests/accuracy/truth --rounds $(ROUNDS) --seed 1

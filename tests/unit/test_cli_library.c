@@ -2,6 +2,7 @@
  * that a real daemon does not produce on demand. */
 #include <math.h>
 
+#include "core/montecarlo/montecarlo.h"
 #include "tests/unit/peer_scripts.h"
 #include "tests/unit/unit.h"
 
@@ -409,31 +410,115 @@ UNIT_TEST(test_nobody_is_there) {
   }
 }
 
+/* A query of which one field is another is not sent. call: has it as `wrong`. */
+#define REFUSED(type, call, right, field, value)                                                   \
+  do {                                                                                             \
+    type wrong = (right);                                                                          \
+    wrong.field = (value);                                                                         \
+    error.kind = DIPOLE_ERROR_NONE;                                                                \
+    if ((call) || error.kind != DIPOLE_ERROR_ARGUMENT) {                                           \
+      fail_msg("%s = %s was sent", #field, #value);                                                \
+    }                                                                                              \
+  } while (false)
+
 UNIT_TEST(test_arguments) {
   scripted_peer peer;
   dipole_error error;
   dipole_result *result;
   dipole_client *client = peer_begin(&peer, peer_serve, NULL);
-  static const dipole_parameter beyond_the_wire = {65536 + CORE_PARAMETER_COS_IN, 0.5};
-  dipole_query queries[] = {simple_query, simple_query, simple_query, simple_query, simple_query,
-                            simple_query, simple_query, simple_query, simple_query};
-  queries[0].media = NULL;
-  queries[1].radii = NULL;
-  queries[2].evaluator = 99;
-  queries[3].radius_count = UINT64_MAX;
-  queries[4].model = 65536 + 2;
-  queries[5].spacing = 65536 + DIPOLE_LIST;
-  queries[6].parameter_count = 1;
-  queries[7].parameters = &beyond_the_wire;
-  queries[7].parameter_count = 1;
-  queries[8].parameters = &beyond_the_wire;
-  queries[8].parameter_count = 65536 + 1;
-  for (size_t i = 0; i < sizeof queries / sizeof queries[0]; i++) {
-    assert_false(dipole_eval(client, &queries[i], &result, &error));
-    assert_int_equal(error.kind, DIPOLE_ERROR_ARGUMENT);
-  }
+  static const dipole_parameter beyond = {65536 + CORE_PARAMETER_COS_IN, 0.5};
+  const dipole_parameter misspelt = {dipole_id(client, DIPOLE_PARAMETER, "tolerence"), 0.01};
+#define EVAL(field, value)                                                                         \
+  REFUSED(dipole_query, dipole_eval(client, &wrong, &result, &error), simple_query, field, value)
+  EVAL(media, NULL);
+  EVAL(radii, NULL);
+  EVAL(evaluator, 99);
+  EVAL(radius_count, UINT64_MAX);
+  EVAL(model, 65536 + 2);
+  EVAL(spacing, 65536 + DIPOLE_LIST);
+  EVAL(parameter_count, 1);
+  dipole_query given = simple_query;
+  given.parameters = &beyond;
+  REFUSED(dipole_query, dipole_eval(client, &wrong, &result, &error), given, parameter_count, 1);
+  REFUSED(dipole_query, dipole_eval(client, &wrong, &result, &error), given, parameter_count,
+          65536 + 1);
+  EVAL(model, DIPOLE_ANY_MODEL);
+  assert_non_null(strstr(error.text, "needs the parameter tolerance"));
+#undef EVAL
+
+  dipole_offer *offers;
+  size_t count;
+  given.model = DIPOLE_ANY_MODEL;
+  given.parameter_count = 1;
+#define OFFERS(field, value)                                                                       \
+  REFUSED(dipole_query, dipole_offers(client, &wrong, &offers, &count, NULL, &error), given,       \
+          field, value)
+  OFFERS(model, dipole_id(client, DIPOLE_MODEL, "classicall"));
+  OFFERS(parameters, &misspelt);
+  assert_non_null(strstr(error.text, "parameters[0]"));
+  OFFERS(parameters, NULL);
+#undef OFFERS
+
+  dipole_table *table;
+  const dipole_table_query fetched = {.model = 2, .moments = DIPOLE_EXACT, .medium = media[0]};
+#define TABLE(field, value)                                                                        \
+  REFUSED(dipole_table_query, dipole_table_fetch(client, &wrong, &table, &error), fetched, field,  \
+          value)
+  TABLE(model, 65536);
+  TABLE(moments, 65536);
+  TABLE(parameter_count, 1);
+#undef TABLE
+
+  dipole_mc_result *walked;
+  const dipole_mc_query job = {.medium = media[0],
+                               .spacing = DIPOLE_LINEAR,
+                               .ring_count = 2,
+                               .radius_stop_mm = 2,
+                               .photons = 1000};
+#define MC(field, value)                                                                           \
+  REFUSED(dipole_mc_query, dipole_mc(client, &wrong, NULL, NULL, &walked, &error), job, field,     \
+          value)
+  MC(albedo_count, 1);
+  MC(albedo_count, CORE_MC_ALBEDOS_MAX + 1);
+  MC(spacing, 65536);
+#undef MC
+
+  dipole_sample_query drawn = {.model = 2,
+                               .evaluator = DIPOLE_F64,
+                               .moments = DIPOLE_EXACT,
+                               .wanted = DIPOLE_RADIUS,
+                               .media = media,
+                               .medium_count = 1,
+                               .draw = DIPOLE_DRAW_RANDOM,
+                               .sample_count = 3};
+#define SAMPLE(field, value)                                                                       \
+  REFUSED(dipole_sample_query, dipole_sample(client, &wrong, &result, &error), drawn, field, value)
+  SAMPLE(media, NULL);
+  SAMPLE(model, 65536);
+  SAMPLE(evaluator, 9);
+  SAMPLE(draw, DIPOLE_DRAW_LIST);
+  drawn.draw = DIPOLE_DRAW_LIST;
+  drawn.numbers = radii;
+  SAMPLE(sample_count, UINT64_MAX);
+#undef SAMPLE
+
+  dipole_inversion *inversion;
+  const dipole_invert_query inverted = {.model = 2,
+                                        .moments = DIPOLE_EXACT,
+                                        .eta = 1.4,
+                                        .albedos = radii,
+                                        .lengths_mm = radii,
+                                        .medium_count = 1};
+#define INVERT(field, value)                                                                       \
+  REFUSED(dipole_invert_query, dipole_invert(client, &wrong, &inversion, &error), inverted, field, \
+          value)
+  INVERT(lengths_mm, NULL);
+  INVERT(given, 65536);
+  INVERT(medium_count, UINT64_MAX);
+#undef INVERT
   check_simple_result(peer_eval(client, &simple_query)); /* The client sent none of the above. */
   peer_finish(&peer, client);
   dipole_close(NULL);
   dipole_result_free(NULL);
+  dipole_inversion_free(NULL);
 }

@@ -117,42 +117,6 @@ UNIT_TEST(other_answers_are_refused) {
   }
 }
 
-UNIT_TEST(wrong_queries_are_not_sent) {
-  offers_script script = {{OFFERS, 1}, OFFERS_BYTES};
-  scripted_peer peer;
-  dipole_offer *offers = NULL;
-  dipole_error error;
-  size_t count;
-  dipole_query wrong[5];
-  for (size_t i = 0; i < 5; i++) {
-    wrong[i] = query_of(DIPOLE_ANY_MODEL, DIPOLE_LUT);
-  }
-  wrong[0].evaluator = 4;
-  wrong[1].radii = NULL;
-  wrong[2].parameters = NULL;
-  dipole_client *client = peer_begin(&peer, offer, &script);
-  const dipole_parameter misspelt = {dipole_id(client, DIPOLE_PARAMETER, "tolerence"), 0.01};
-  wrong[3].model = dipole_id(client, DIPOLE_MODEL, "classicall");
-  wrong[4].parameters = &misspelt;
-  wrong[4].parameter_count = 1;
-  for (size_t i = 0; i < 5; i++) {
-    assert_false(dipole_offers(client, &wrong[i], &offers, &count, NULL, &error));
-    assert_int_equal(error.kind, DIPOLE_ERROR_ARGUMENT);
-  }
-  assert_non_null(strstr(error.text, "parameters[0]"));
-  dipole_query untold = query_of(DIPOLE_ANY_MODEL, DIPOLE_LUT);
-  dipole_result *result;
-  untold.parameter_count = 0;
-  assert_false(dipole_eval(client, &untold, &result, &error));
-  assert_int_equal(error.kind, DIPOLE_ERROR_ARGUMENT);
-  assert_non_null(strstr(error.text, "needs the parameter tolerance"));
-  const dipole_query right = query_of(DIPOLE_ANY_MODEL, DIPOLE_F64);
-  assert_true(dipole_offers(client, &right, &offers, &count, NULL, NULL));
-  assert_offers(offers);
-  free(offers);
-  peer_finish(&peer, client);
-}
-
 /* ---- queries of any model ------------------------------------------------------------------ */
 
 typedef struct choice_script {

@@ -193,6 +193,10 @@ UNIT_TEST(test_a_job_is_begun_again) {
   assert_true(dipole_mc(client, &job, NULL, NULL, &result, &error));
   assert_int_equal(result->end, DIPOLE_MC_PHOTONS);
   assert_int_equal(result->last.photons, job.photons);
+  assert_non_null(dipole_mc_values(result, 0, DIPOLE_MC_REFLECTED));
+  assert_null(dipole_mc_values(result, 0, DIPOLE_MC_TRANSMITTED));
+  assert_null(dipole_mc_errors(result, 1, DIPOLE_MC_REFLECTED));
+  assert_null(dipole_mc_photons(result, DIPOLE_MC_TRANSMITTED));
   dipole_mc_result_free(result);
   peer_finish(&peer, client);
 }

@@ -304,36 +304,6 @@ UNIT_TEST(other_answers_are_refused) {
   unmake(&made);
 }
 
-UNIT_TEST(wrong_arguments_are_not_sent) {
-  made_table made = make("better", skin);
-  answer with = {made.bytes + WIRE_BYTES_header, made.count - WIRE_BYTES_header};
-  const dipole_parameter none_such = {65536, 1};
-  scripted_peer peer;
-  dipole_table *table = NULL;
-  dipole_error error;
-  dipole_table_query wrong[5];
-  for (size_t i = 0; i < 5; i++) {
-    wrong[i] = skin_query;
-  }
-  wrong[0].model = 65536;
-  wrong[1].moments = 65536;
-  wrong[2].parameter_count = 1;
-  wrong[3].parameters = &none_such;
-  wrong[3].parameter_count = 1;
-  wrong[4].parameters = &none_such;
-  wrong[4].parameter_count = 65536;
-  dipole_client *client = peer_begin(&peer, answer_requests, &with);
-  for (size_t i = 0; i < 5; i++) {
-    assert_false(dipole_table_fetch(client, &wrong[i], &table, &error));
-    assert_int_equal(error.kind, DIPOLE_ERROR_ARGUMENT);
-    assert_null(table);
-  }
-  assert_true(dipole_table_fetch(client, &skin_query, &table, NULL));
-  dipole_table_free(table);
-  peer_finish(&peer, client);
-  unmake(&made);
-}
-
 /* ---- without a daemon ---------------------------------------------------------------------- */
 
 UNIT_TEST(the_library_knows_its_lists) {
