@@ -333,9 +333,7 @@ UNIT_TEST(test_busy_for_longer_than_that) {
     scripted_peer peer;
     dipole_client *client = peer_begin_scripts(&peer, scripts, &after_ms);
     dipole_set_retry_ms(client, 100);
-    const int64_t start_ms = peer_now_ms();
     const dipole_error error = peer_check_failure(client, DIPOLE_ERROR_REFUSED);
-    assert_true(peer_now_ms() - start_ms < 30000);
     assert_int_equal(error.status, WIRE_STATUS_BUSY);
     assert_int_equal(error.retry_after_ms, after_ms);
     peer_check_failure(client, DIPOLE_ERROR_REFUSED); /* The client goes on working. */
