@@ -9,6 +9,17 @@ bool eval_is_array(unsigned wanted, unsigned quantity) {
   return (wanted & quantity) != 0 && (drawn || core_quantity_elementwise(quantity));
 }
 
+/* Takes what follows the structure of a request to eval or to sample. listed: whether the radii or
+ * numbers u are. */
+static wire_error take_parts(const uint8_t *payload, const schema_layout *layout, bool listed,
+                             eval_request *request) {
+  request->media = (const void *)(payload + layout->parts[EVAL_MEDIA].at);
+  request->radii = listed ? payload + layout->parts[EVAL_RADII].at : NULL;
+  return schema_parse_parameters(payload + layout->parts[EVAL_PARAMETERS].at,
+                                 request->fixed.parameter_count, request->fixed.layer_count,
+                                 &request->parameters);
+}
+
 wire_error eval_request_parse(const uint8_t *payload, size_t payload_bytes, eval_request *request) {
   schema_layout layout;
   const wire_error error = schema_check(&schema_eval_request, payload, payload_bytes, &layout);
@@ -16,12 +27,31 @@ wire_error eval_request_parse(const uint8_t *payload, size_t payload_bytes, eval
     return error;
   }
   wire_get_eval_request(payload, &request->fixed);
-  request->media = (const void *)(payload + layout.parts[EVAL_MEDIA].at);
-  request->radii =
-      request->fixed.spacing == CORE_SPACING_LIST ? payload + layout.parts[EVAL_RADII].at : NULL;
-  return schema_parse_parameters(payload + layout.parts[EVAL_PARAMETERS].at,
-                                 request->fixed.parameter_count, request->fixed.layer_count,
-                                 &request->parameters);
+  return take_parts(payload, &layout, request->fixed.spacing == CORE_SPACING_LIST, request);
+}
+
+wire_error sample_request_parse(const uint8_t *payload, size_t payload_bytes, core_draw *draw,
+                                eval_request *request) {
+  schema_layout layout;
+  wire_sample_request fixed;
+  const wire_error error = schema_check(&schema_sample_request, payload, payload_bytes, &layout);
+  if (error.status != WIRE_STATUS_OK) {
+    return error;
+  }
+  wire_get_sample_request(payload, &fixed);
+  request->fixed = (wire_eval_request){
+      .model = fixed.model,
+      .evaluator = fixed.evaluator,
+      .moments = fixed.moments,
+      .wanted = fixed.wanted,
+      .medium_count = fixed.medium_count,
+      .spacing = CORE_SPACING_LIST,
+      .parameter_count = fixed.parameter_count,
+      .radius_count = fixed.sample_count,
+      .layer_count = fixed.layer_count,
+  };
+  *draw = (core_draw){fixed.draw, fixed.sample_count, fixed.sample_first, fixed.seed};
+  return take_parts(payload, &layout, fixed.draw == CORE_DRAW_LIST, request);
 }
 
 static const schema_payload *payload_of(unsigned wanted) {

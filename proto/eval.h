@@ -1,4 +1,4 @@
-/* eval: encodes and decodes the payloads of an eval request and its reply.
+/* eval: encodes and decodes the payloads of requests to eval and to sample, and of their replies.
  *
  * Callers use the arrays in place: if a payload starts at a multiple of 8, so does every structure
  * and array in it.
@@ -6,6 +6,7 @@
 #ifndef DIPOLED_PROTO_EVAL_H
 #define DIPOLED_PROTO_EVAL_H
 
+#include "core/draw.h"
 #include "proto/schema.h"
 
 /* Model id of a request that gives a tolerance in place of a model. */
@@ -25,7 +26,12 @@ typedef struct eval_request {
 /* Parses a payload: schema_check(), and the parameters. Core checks the values. */
 wire_error eval_request_parse(const uint8_t *payload, size_t payload_bytes, eval_request *request);
 
-/* Flag added to `wanted` for a sample (proto/sample.h): each channel has its own array of drawn
+/* Parses a request to sample into an eval request in which the numbers u take the place of the radii:
+ * request->radii is the list of numbers, or NULL if a rule makes them. */
+wire_error sample_request_parse(const uint8_t *payload, size_t payload_bytes, core_draw *draw,
+                                eval_request *request);
+
+/* Flag added to `wanted` for a sample: each channel has its own array of drawn
  * radii. The wire does not carry it. */
 #define EVAL_DRAWN 0x10000u
 

@@ -8,7 +8,7 @@
 #include "clients/c/reply.h"
 #include "core/core.h"
 #include "core/draw.h"
-#include "proto/sample.h"
+#include "proto/eval.h"
 
 /* ---- parts of requests --------------------------------------------------------------------- */
 

@@ -7,7 +7,6 @@
 #include "proto/eval.h"
 #include "proto/fit.h"
 #include "proto/gather.h"
-#include "proto/sample.h"
 #include "proto/table.h"
 #include "proto/varying.h"
 

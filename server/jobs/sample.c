@@ -1,6 +1,5 @@
 /* Sample: draws radii that are distributed as the light that leaves, and evaluates quantities at
  * these radii. */
-#include "proto/sample.h"
 
 #include <math.h>
 #include <string.h>

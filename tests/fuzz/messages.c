@@ -9,7 +9,7 @@
 #include "proto/gather.h"
 #include "proto/invert.h"
 #include "proto/mc.h"
-#include "proto/sample.h"
+#include "proto/eval.h"
 #include "proto/table.h"
 #include "proto/varying.h"
 #include "tests/fuzz/fuzz.h"

@@ -7,7 +7,7 @@
 #include "proto/gather.h"
 #include "proto/invert.h"
 #include "proto/mc.h"
-#include "proto/sample.h"
+#include "proto/eval.h"
 #include "proto/varying.h"
 #include "server/jobs/requests.h"
 #include "server/net/connection.h"

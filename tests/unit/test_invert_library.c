@@ -3,7 +3,7 @@
 #include <math.h>
 
 #include "proto/invert.h"
-#include "proto/sample.h"
+#include "proto/eval.h"
 #include "tests/unit/peer_scripts.h"
 #include "tests/unit/unit.h"
 
