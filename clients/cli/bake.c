@@ -44,7 +44,7 @@ typedef struct fact {
   double values[CLI_COLOURS];
 } fact;
 
-enum { FACTS_MAX = 16 };
+enum { FACTS_MAX = 5 * CORE_LAYERS_MAX + 8 };
 
 /* What is written into files: rows of numbers, and facts. */
 typedef struct sheet {
@@ -63,8 +63,8 @@ typedef struct bake {
   const cli_settings *settings;
   dipole_client *client;
   cli_profile profile;
-  dipole_medium media[CLI_COLOURS];
-  double *r_mm; /* [channels][CLI_EDGE_RADII] of cli_edge_radii() */
+  dipole_medium *media; /* [CLI_COLOURS][profile.layer_count] */
+  double *r_mm;         /* [channels][CLI_EDGE_RADII] of cli_edge_radii() */
   sheet sheet;
 } bake;
 
@@ -352,6 +352,7 @@ static int make_profile(bake *of) {
   query.evaluator = DIPOLE_F64;
   query.wanted = DIPOLE_R | DIPOLE_CDF;
   query.media = of->media;
+  query.layer_count = of->profile.layer_count;
   query.medium_count = CLI_COLOURS;
   query.radii = r_mm;
   query.radius_count = fine;
@@ -751,32 +752,52 @@ static int check(cli_settings *settings) {
 
 /* Sets the radii, and the facts that all kinds of files state about the media. */
 static int take_media(bake *of) {
-  double numbers[5][CLI_COLOURS], *const colours = numbers[4];
+  static const struct {
+    const char *name, *about;
+    size_t offset;
+  } of_layer[] = {
+      {"sigma_a", "absorption coefficient, 1/mm", offsetof(dipole_medium, sigma_a_per_mm)},
+      {"sigma_s", "scattering coefficient, 1/mm", offsetof(dipole_medium, sigma_s_per_mm)},
+      {"g", "mean cosine of the scattering angle", offsetof(dipole_medium, g)},
+      {"eta", "refractive index", offsetof(dipole_medium, eta)},
+      {"thickness", "mm; 0: a half space", offsetof(dipole_medium, thickness_mm)},
+  };
+  double numbers[CLI_COLOURS], colours[CLI_COLOURS], errors[CLI_COLOURS];
   const int status = cli_profile_take(of->settings, of->client, &of->profile);
   if (status != CLI_OK) {
     return status;
   }
-  const size_t count = of->profile.channel_count;
+  const size_t count = of->profile.channel_count, layers = of->profile.layer_count;
+  const bool half_space = layers == 1 && of->profile.media[0].thickness_mm == 0;
   if (count != 1 && count != CLI_COLOURS) {
     return cli_fail_usage("give one channel or three: red, green and blue");
   }
-  dipole_medium *const media = of->media;
+  of->media = cli_allocate(CLI_COLOURS * layers, sizeof *of->media);
   for (size_t i = 0; i < CLI_COLOURS; i++) {
-    media[i] = of->profile.media[count == 1 ? 0 : i];
-    numbers[0][i] = media[i].sigma_a_per_mm;
-    numbers[1][i] = media[i].sigma_s_per_mm;
-    numbers[2][i] = media[i].g;
-    numbers[3][i] = media[i].eta;
+    memcpy(of->media + i * layers, cli_profile_layers(&of->profile, count == 1 ? 0 : i),
+           layers * sizeof *of->media);
   }
-  if (!cli_edge_radii(of->settings, of->client, media, CLI_COLOURS, &of->r_mm, colours)) {
+  if (!cli_edge_radii(of->settings, of->client, of->media, (uint32_t)layers, CLI_COLOURS, &of->r_mm,
+                      colours, errors)) {
     return CLI_FAILED;
   }
-  add_fact(&of->sheet, "sigma_a", "absorption coefficient, 1/mm", numbers[0]);
-  add_fact(&of->sheet, "sigma_s", "scattering coefficient, 1/mm", numbers[1]);
-  add_fact(&of->sheet, "g", "mean cosine of the scattering angle", numbers[2]);
-  add_fact(&of->sheet, "eta", "refractive index", numbers[3]);
+  for (size_t layer = 0; layer < layers; layer++) {
+    for (size_t k = 0; k < (half_space ? 4 : 5); k++) {
+      char name[32];
+      for (size_t i = 0; i < CLI_COLOURS; i++) {
+        numbers[i] =
+            *(const double *)((const char *)&of->media[i * layers + layer] + of_layer[k].offset);
+      }
+      snprintf(name, sizeof name, layers > 1 ? "%s_%zu" : "%s", of_layer[k].name, layer + 1);
+      add_fact(&of->sheet, cli_copy(name, strlen(name)), of_layer[k].about, numbers);
+    }
+  }
   add_fact(&of->sheet, "colour", "share of the light that entered at normal incidence which leaves",
            colours);
+  if (!half_space) {
+    add_fact(&of->sheet, "transport_error", "relative error of R; the other errors are beside it",
+             errors);
+  }
   return CLI_OK;
 }
 
@@ -820,7 +841,7 @@ const cli_command cli_command_bake = {
         "`colour`. Each file says its errors. c is an array of C, hlsl one of float4 with "
         "--common.",
     .formats = "c,hlsl,csv,json,pfm,png,spi1d,cube,glsl,osl,python",
-    .options = {options, cli_medium_options},
+    .options = {options, cli_medium_options, cli_layer_options},
     .check = check,
     .is_local = is_local,
     .run = run_bake,

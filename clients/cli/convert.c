@@ -352,7 +352,7 @@ static bool read_numbers(material *of) {
   if (!find_media(of, CORE_MODEL_TRANSPORT, DIPOLE_EXTINCTION_PATH, wanted, ratios, of->media) ||
       (of->from->length == SKIN && !skin_ratios(of, of->typed, ratios)) ||
       (of->from->length >= BURLEY &&
-       !cli_edge_radii(of->settings, of->client, of->media, of->count, &r_mm, NULL))) {
+       !cli_edge_radii(of->settings, of->client, of->media, 1, of->count, &r_mm, NULL, NULL))) {
     return false;
   }
   for (size_t i = 0; i < of->count; i++) {
@@ -407,7 +407,7 @@ static bool set_lengths(material *of) {
       const double absorbed = absorbed_of(&of->media[i]);
       of_one_mm[i] = (dipole_medium){absorbed, 1 - absorbed, of->media[i].g, of->media[i].eta};
     }
-    if (!cli_edge_radii(of->settings, of->client, of_one_mm, of->count, &r_mm, NULL)) {
+    if (!cli_edge_radii(of->settings, of->client, of_one_mm, 1, of->count, &r_mm, NULL, NULL)) {
       return false;
     }
   }

@@ -7,7 +7,8 @@
 #include "core/core.h"
 
 bool cli_edge_radii(const cli_settings *settings, dipole_client *client, const dipole_medium *media,
-                    size_t count, double **r_mm, double *colours) {
+                    uint32_t layer_count, size_t count, double **r_mm, double *colours,
+                    double *errors) {
   dipole_result *result;
   dipole_error error;
   const dipole_sample_query query = {.model = CORE_MODEL_TRANSPORT,
@@ -15,6 +16,7 @@ bool cli_edge_radii(const cli_settings *settings, dipole_client *client, const d
                                      .moments = DIPOLE_EXACT,
                                      .wanted = DIPOLE_RADIUS | DIPOLE_ALBEDO,
                                      .media = media,
+                                     .layer_count = layer_count,
                                      .medium_count = (uint32_t)count,
                                      .draw = DIPOLE_DRAW_REGULAR,
                                      .sample_count = CLI_EDGE_RADII};
@@ -28,6 +30,9 @@ bool cli_edge_radii(const cli_settings *settings, dipole_client *client, const d
            CLI_EDGE_RADII * sizeof **r_mm);
     if (colours != NULL) {
       colours[i] = result->channels[i].albedo;
+    }
+    if (errors != NULL) {
+      errors[i] = result->channels[i].numerical_error;
     }
   }
   dipole_result_free(result);

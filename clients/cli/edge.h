@@ -9,10 +9,12 @@
 enum { CLI_EDGE_RADII = 4096 };
 
 /* Sets *r_mm to the radii between which equal shares of the light leave, [count][CLI_EDGE_RADII] and
- * ascending, of media under transport, and colours[count], unless it is NULL, to their albedos. Says
- * what is wrong and returns false if that fails. */
+ * ascending, of media[count][layer_count] under transport; colours[count] to their albedos, and
+ * errors[count] to the relative errors of R that the daemon states; these may be NULL. Says what is
+ * wrong and returns false if that fails. */
 bool cli_edge_radii(const cli_settings *settings, dipole_client *client, const dipole_medium *media,
-                    size_t count, double **r_mm, double *colours);
+                    uint32_t layer_count, size_t count, double **r_mm, double *colours,
+                    double *errors);
 
 /* Returns E at x of a profile with these radii, within 3e-5: 1/2 + mean(asin(min(1, x / r))) / pi,
  * since the share 2 asin(x / r) / pi of a circle lies within x of a line through its middle. */

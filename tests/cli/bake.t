@@ -103,7 +103,7 @@ $ dipole bake colour-map --size 16 --format spi1d --eta 1.5 --light furnace
 ! `dipole bake --help` says more.
 ? 2
 
-$ for one in kernel 'halo --medium skin1' 'kernel --medium skin1 --taps 12' 'gaussians --medium skin1 --count 13' 'burley --medium skin1 --thickness 2' 'kernel --medium skin1 --range 0' 'colour-map --size 2' 'lut --medium skin1 --size 129' 'profile --medium skin1 --range 1,2,3'; do dipole bake $one || echo $?; done
+$ for one in kernel 'halo --medium skin1' 'kernel --medium skin1 --taps 12' 'gaussians --medium skin1 --count 13' 'kernel --medium skin1 --range 0' 'colour-map --size 2' 'lut --medium skin1 --size 129' 'profile --medium skin1 --range 1,2,3'; do dipole bake $one || echo $?; done
 2
 2
 2
@@ -112,16 +112,13 @@ $ for one in kernel 'halo --medium skin1' 'kernel --medium skin1 --taps 12' 'gau
 2
 2
 2
-2
-! dipole bake: give --medium NAME, or --sigma-a and --sigma-s
+! dipole bake: give --medium NAME, or --sigma-a and --sigma-s, or --layer
 ! `dipole bake --help` says more.
 ! dipole bake: give a KIND: kernel, burley, gaussians, lut, profile, colour-map or formula
 ! `dipole bake --help` says more.
 ! dipole bake: --taps: an odd number from 11 to 33
 ! `dipole bake --help` says more.
 ! dipole bake: --count: 2 to 12
-! `dipole bake --help` says more.
-! dipole bake: --thickness: no such option
 ! `dipole bake --help` says more.
 ! dipole bake: --range: more than 0, up to 1e+06 mm
 ! `dipole bake --help` says more.

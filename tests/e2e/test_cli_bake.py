@@ -289,3 +289,13 @@ def test_the_document_has_the_constants():
             if line.startswith(("beam, ", "diffuse, "))]
     assert [one for row in told for one in row[1:]] == [one for one in listed if one not in (told[0][0], told[3][0])]
     assert {row[0] for row in told} <= set(listed) and len(listed) == 2 * 19
+
+
+def test_layers_of_one_medium_are_that_medium():
+    whole = json.loads(dipole("bake", "burley", "--sigma-a", ".1", "--sigma-s", "1", "--format", "json").stdout)
+    layers = ["--layer", ".1,1,0,1.3,1", "--layer", ".1,1,0,1.3"]
+    stack = json.loads(dipole("bake", "burley", *layers, "--format", "json").stdout)
+    assert stack["rows"] == [pytest.approx(whole["rows"][0], rel=1e-3)]
+    assert stack["colour"] == pytest.approx(whole["colour"], rel=1e-4)
+    assert (stack["thickness_1"][0], stack["thickness_2"][0]) == (1, 0) and "thickness" not in whole
+    assert 0 < stack["transport_error"][0] < 0.2
