@@ -67,16 +67,28 @@ static size_t count_unknowns(const core_layers_fit_request *request, size_t *lay
   return *layered + (request->scale == CORE_FIT_SCALE_FREE);
 }
 
-/* Checks the layers, where unknowns have values of usual size. */
+/* Checks the layers, where unknowns have values that make none of them weak: the largest sigma_s that
+ * is known, no absorption, one free path. */
 static core_fault check_layers(const core_layers_fit_request *request) {
   core_medium layer[CORE_LAYERS_MAX];
   core_parameters parameters = core_parameters_none();
   memcpy(layer, request->layer, request->layer_count * sizeof *layer);
   parameters.layer_count = (uint32_t)request->layer_count;
-  for (unsigned i = 0; i < CORE_UNKNOWNS; i++) {
-    if ((request->unknowns >> i & 1) != 0) {
-      *member_of(layer, i) = 1;
-    }
+  double most = 0;
+  for (size_t i = 0; i < request->layer_count; i++) {
+    const bool known = i >= 2 || (request->unknowns >> (OF_LAYER * i + 1) & 1) == 0;
+    most = known ? fmax(most, layer[i].sigma_s_per_mm) : most;
+  }
+  for (unsigned i = 0; i < 2 && i < request->layer_count; i++) {
+    const unsigned unknown = request->unknowns >> OF_LAYER * i;
+    core_medium *one = &layer[i];
+    one->sigma_s_per_mm = (unknown & 2) == 0 ? one->sigma_s_per_mm : most > 0 ? most : 1;
+    one->sigma_a_per_mm = (unknown & 1) == 0        ? one->sigma_a_per_mm
+                          : one->sigma_s_per_mm > 0 ? 0
+                                                    : fmax(most, 1);
+    one->thickness_mm = (unknown & 4) == 0
+                            ? one->thickness_mm
+                            : 1 / fmax(one->sigma_a_per_mm + one->sigma_s_per_mm, 1e-30);
   }
   return core_profile_check(CORE_MODEL_TRANSPORT, CORE_MOMENTS_EXACT, CORE_EVALUATOR_F64, layer,
                             &parameters, NULL);
