@@ -46,7 +46,7 @@ int cli_say(enum cli_status status, const char *format, ...) {
 
 bool cli_ends_with(const char *text, const char *ending) {
   const size_t length = strlen(text), end = strlen(ending);
-  return length >= end && strcmp(text + length - end, ending) == 0;
+  return length > end && strcmp(text + length - end, ending) == 0;
 }
 
 enum { COLUMNS_USUAL = 80, ROWS_USUAL = 24 };

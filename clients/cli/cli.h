@@ -167,7 +167,7 @@ int cli_say(enum cli_status status, const char *format, ...) __attribute__((form
 #define cli_fails(...) (cli_fail(__VA_ARGS__) == CLI_OK)
 #define cli_fails_usage(...) (cli_fail_usage(__VA_ARGS__) == CLI_OK)
 
-/* Returns whether a text ends with another. */
+/* Returns whether a text ends with another, which is shorter. */
 bool cli_ends_with(const char *text, const char *ending);
 
 /* ---- the terminal that standard output is ---------------------------------------------------- */

@@ -58,7 +58,7 @@ static bool is_state(const char *name) {
                                         "_p90_us",     "_p99_us",
                                         "_p999_us",    "_max_us"};
   for (size_t i = 0; i < sizeof endings / sizeof endings[0]; i++) {
-    if (cli_ends_with(name, endings[i])) {
+    if (strcmp(name, endings[i]) == 0 || cli_ends_with(name, endings[i])) {
       return true;
     }
   }
