@@ -63,7 +63,9 @@ double core_energy_build(core_kernel_f64 *R, const double *c, double first_mm, d
    * second case the energy within r is pi r^2 (R0 + R1 / 2 + R1 ln(first / r)). */
   const bool steep = !(density[1] > 1.03 * density[0]);
   const double rise = (density[2] * 0x1p64 / density[0] - 1) / real_log(0x1p64, 0); /* R1 / R0 */
-  const bool rises = !steep && rise > 0;
+  /* A logarithm rises by less than R itself in a factor e; more is 1 / r nearer to the source, where it
+   * has no energy. */
+  const bool rises = !steep && rise > 0 && rise < 1;
   double energy = density[0] * first_mm * (steep ? 1 : rises ? 0.5 + 0.25 * rise : 0.5);
   for (size_t i = 0; i < panels; i++) {
     double *series = table + CORE_ENERGY_SERIES + i * CORE_ENERGY_TERMS;

@@ -296,6 +296,11 @@ static bool is_layered(const core_inputs *inputs) {
   return inputs->medium->thickness_mm > 0;
 }
 
+/* Returns whether R and the cdf are those of the light that leaves below. */
+static bool is_transmitted(const core_inputs *inputs) {
+  return (inputs->variant & CORE_SLAB_TRANSMITTED) != 0;
+}
+
 static core_medium medium_of(const core_inputs *inputs) {
   return core_transport_medium(inputs->medium, inputs->parameters->value[CORE_PARAMETER_GAMMA]);
 }
@@ -365,6 +370,11 @@ core_fault core_transport_check(const core_inputs *inputs, core_radii_range *rad
   const double layer = core_parameter_or(inputs, CORE_PARAMETER_DERIVATIVE_LAYER, 1);
   if (layer > inputs->parameters->layer_count || layer > floor(layer)) {
     return (core_fault){"derivative_layer", "an integer, 1 to the number of layers", 0};
+  }
+  const uint32_t last = inputs->parameters->layer_count - 1;
+  if (is_transmitted(inputs) && !(inputs->medium[last].thickness_mm > 0)) {
+    return (core_fault){"thickness", "above 0 mm: light leaves below this model's last layer",
+                        last};
   }
   if (is_layered(inputs)) {
     return check_layers(inputs);
@@ -1212,17 +1222,24 @@ static core_fault prepare_layers(const core_inputs *inputs, double tolerance,
     fault = solver_layers_balance(solution, inputs->isa, &balance);
   }
   if (fault.field == NULL) {
-    struct source source = {.medium = inputs->medium, .layers = solution};
+    struct source source = {
+        .medium = inputs->medium, .layers = solution, .side = is_transmitted(inputs)};
     struct panels panels = {.joined = false};
     struct derivative by[2];
     const transport_number *total = &balance.out[source.side];
     double end, growth;
-    if (!find_end_of_layers(&source, &end, &growth)) {
-      solver_layers_free(solution);
-      return (core_fault){"thickness", "thicker layers: R of these is not found; mc walks them", 0};
+    if (find_end_of_layers(&source, &end, &growth)) {
+      source.kappa = kappa_at(&source, end);
+      lay_panels_solved(&source, end, &panels, &preparation->added);
     }
-    source.kappa = kappa_at(&source, end);
-    lay_panels_solved(&source, end, &panels, &preparation->added);
+    if (panels.count == 0) {
+      solver_layers_free(solution);
+      return source.side == 0
+                 ? (core_fault){"thickness",
+                                "thicker layers: R of these is not found; mc walks them", 0}
+                 : (core_fault){"thickness", "other layers: T of these is not found; mc walks them",
+                                0};
+    }
     extend_errors(&source, end, &preparation->added);
     preparation->albedo = fmin(total->value, 1);
     preparation->added.banded[CORE_MODEL_ERROR_BANDS] = total->error / fmax(total->value, 1e-300);
@@ -1236,7 +1253,7 @@ static core_fault prepare_layers(const core_inputs *inputs, double tolerance,
                          wants_derivatives(inputs) ? 2 : 0, false, preparation);
     }
     const core_medium *last = &inputs->medium[inputs->parameters->layer_count - 1];
-    if (fault.field == NULL && last->thickness_mm > 0) {
+    if (fault.field == NULL && last->thickness_mm > 0 && source.side == 0) {
       fault = add_below(&source, preparation);
     }
   }

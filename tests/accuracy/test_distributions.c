@@ -75,7 +75,9 @@ static void check_density(const core_profile *f64, uint64_t *random) {
       fail_msg("%s: 2 pi r R at %g is %g", name_of(f64), r[i], ring[i]);
     }
   }
-  if (!(fabs(sum - 1) < 1e-6 && worst < 1e-4)) {
+  /* The total of layers is more exact than their T, in whose error the axis counts most. */
+  const bool solved = f64->model == CORE_MODEL_TRANSPORT_TRANSMITTED;
+  if (!(fabs(sum - 1) < (solved ? 1e-3 : 1e-6) && worst < (solved ? 1e-3 : 1e-4))) {
     fail_msg("%s: the density adds up to %.9f, and strays from the cdf by %.2g", name_of(f64), sum,
              worst);
   }

@@ -270,7 +270,7 @@ model,channel,sigma_a,sigma_s,g,eta,r,R,albedo,numerical_error,model_error,evalu
 gaussians,1,0.032,0.74,0,1.3,1,0.022003446135484304,0.4351174018643613,0.0016572261195275356,0.4013648964112038,f64,
 
 $ dipole eval --sigma-a 0.032 --sigma-s 0.74 --model gaussians --r 1 --fit-model best
-! dipole eval: --fit-model: 'best' is unknown; this daemon has classical, better, grosjean, boundary, exitance, grosjean-boundary, grosjean-exitance, boundary-exitance, extended, quantized, beam, single, classical+single, better+single, extended+single, quantized+single, beam+single, burley, burley-diffuse, burley-dmfp, skin-red, skin-green, skin-blue, gaussians, multipole, multipole-transmitted, better-multipole, better-multipole-transmitted, transport. Is it beam?
+! dipole eval: --fit-model: 'best' is unknown; this daemon has classical, better, grosjean, boundary, exitance, grosjean-boundary, grosjean-exitance, boundary-exitance, extended, quantized, beam, single, classical+single, better+single, extended+single, quantized+single, beam+single, burley, burley-diffuse, burley-dmfp, skin-red, skin-green, skin-blue, gaussians, multipole, multipole-transmitted, better-multipole, better-multipole-transmitted, transport, transport-transmitted. Is it beam?
 ! `dipole eval --help` says more.
 ? 2
 
@@ -391,6 +391,7 @@ multipole
 multipole-transmitted
 better-multipole
 better-multipole-transmitted
+transport-transmitted
 
 $ cut -d, -f1 all.csv | sort -u | wc -l
 26

@@ -136,7 +136,7 @@ $ dipole eval --meduim=skin1
 ? 2
 
 $ dipole eval --sigma-a 0.1 --sigma-s 1 --model bettr
-! dipole eval: --model: 'bettr' is unknown; this daemon has classical, better, grosjean, boundary, exitance, grosjean-boundary, grosjean-exitance, boundary-exitance, extended, quantized, beam, single, classical+single, better+single, extended+single, quantized+single, beam+single, burley, burley-diffuse, burley-dmfp, skin-red, skin-green, skin-blue, gaussians, multipole, multipole-transmitted, better-multipole, better-multipole-transmitted, transport. Is it better?
+! dipole eval: --model: 'bettr' is unknown; this daemon has classical, better, grosjean, boundary, exitance, grosjean-boundary, grosjean-exitance, boundary-exitance, extended, quantized, beam, single, classical+single, better+single, extended+single, quantized+single, beam+single, burley, burley-diffuse, burley-dmfp, skin-red, skin-green, skin-blue, gaussians, multipole, multipole-transmitted, better-multipole, better-multipole-transmitted, transport, transport-transmitted. Is it better?
 ! `dipole eval --help` says more.
 ? 2
 
@@ -296,7 +296,7 @@ $ dipole eval --sigma-a 0.1 --sigma-s 1 --plot - --format json
 ? 2
 
 $ dipole eval --sigma-a 0.1 --sigma-s 1 --model better,
-! dipole eval: --model: '' is unknown; this daemon has classical, better, grosjean, boundary, exitance, grosjean-boundary, grosjean-exitance, boundary-exitance, extended, quantized, beam, single, classical+single, better+single, extended+single, quantized+single, beam+single, burley, burley-diffuse, burley-dmfp, skin-red, skin-green, skin-blue, gaussians, multipole, multipole-transmitted, better-multipole, better-multipole-transmitted, transport
+! dipole eval: --model: '' is unknown; this daemon has classical, better, grosjean, boundary, exitance, grosjean-boundary, grosjean-exitance, boundary-exitance, extended, quantized, beam, single, classical+single, better+single, extended+single, quantized+single, beam+single, burley, burley-diffuse, burley-dmfp, skin-red, skin-green, skin-blue, gaussians, multipole, multipole-transmitted, better-multipole, better-multipole-transmitted, transport, transport-transmitted
 ! `dipole eval --help` says more.
 ? 2
 

@@ -222,8 +222,9 @@ static size_t medium_count(size_t isa, unsigned model, unsigned evaluator) {
   const bool slow =
       core_prepares_slowly(model, evaluator, NULL, NULL) && model != CORE_MODEL_BURLEY;
   const bool is_best = strcmp(core_isa_listed(isa), core_isa_name(core_isa_select(NULL))) == 0;
-  /* Transport without absorption takes seconds to prepare, in either precision by the same solver. */
-  const bool few = model == CORE_MODEL_TRANSPORT &&
+  /* Transport without absorption, and of layers, takes seconds to prepare, in either precision by the
+   * same solver. */
+  const bool few = core_solves(model) &&
                    ((isa != portable_isa() && !is_best) || evaluator != CORE_EVALUATOR_F64);
   return !slow ? MEDIA : few && !unit_is_long() ? 1 : COSTLY_MEDIA;
 }
