@@ -40,12 +40,24 @@ enum {
 
 /* ---- errors ---------------------------------------------------------------------------------- */
 
+/* Returns the layers of a medium. */
+static const core_medium *medium_at(const core_choose_request *request, size_t i) {
+  return &request->media[i * request->layer_count];
+}
+
+static bool is_half_space(const core_medium *medium) {
+  return !(medium->thickness_mm > 0);
+}
+
 /* Returns whether `transport` is valid for all media of the request. */
 static bool is_taken(const core_choose_request *request) {
+  core_parameters parameters = core_parameters_none();
   bool taken = true;
+  parameters.layer_count = request->layer_count;
+  parameters.value[CORE_PARAMETER_ETA_BELOW] = request->eta_below;
   for (size_t i = 0; i < request->media_count && taken; i++) {
     taken = core_profile_check(CORE_MODEL_TRANSPORT, CORE_MOMENTS_EXACT, CORE_EVALUATOR_F64,
-                               &request->media[i], NULL, NULL)
+                               medium_at(request, i), &parameters, NULL)
                 .field == NULL;
   }
   return taken;
@@ -56,7 +68,7 @@ static bool is_taken(const core_choose_request *request) {
 static double added_error(const core_choose_request *request) {
   double error = 0;
   for (size_t i = 0; i < request->media_count; i++) {
-    const core_medium *medium = &request->media[i];
+    const core_medium *medium = medium_at(request, i);
     const double most_mm = (request->wanted & FOLLOWS_R) != 0 ? request->radii.most_mm : 0;
     core_added_errors added;
     core_transport_added_errors(medium, &added);
@@ -76,7 +88,7 @@ static double logarithm_error(const core_choose_request *request) {
     return 0;
   }
   for (size_t i = 0; i < request->media_count; i++) {
-    ln_R = fmax(ln_R, 64 + 64 + request->radii.most_mm * core_sigma_t_prime(&request->media[i]));
+    ln_R = fmax(ln_R, 64 + 64 + request->radii.most_mm * core_sigma_t_prime(medium_at(request, i)));
   }
   return 8 * (request->single ? (double)FLT_EPSILON : DBL_EPSILON) * ln_R;
 }
@@ -86,9 +98,10 @@ static double logarithm_error(const core_choose_request *request) {
 static double table_error(const core_choose_request *request) {
   double error = 0;
   for (size_t i = 0; i < request->media_count; i++) {
-    const core_medium *medium = &request->media[i];
-    error = fmax(error, core_transport_is_stored(medium) ? core_transport_table_error(medium)
-                                                         : (double)INFINITY);
+    const core_medium *medium = medium_at(request, i);
+    error = fmax(error, is_half_space(medium) && core_transport_is_stored(medium)
+                            ? core_transport_table_error(medium)
+                            : (double)INFINITY);
   }
   return error;
 }
@@ -98,7 +111,7 @@ static double slope_error(const core_choose_request *request) {
   double error = 0;
   for (size_t i = 0; i < request->media_count && (request->wanted & CORE_QUANTITY_SLOPE) != 0;
        i++) {
-    error = fmax(error, core_transport_slope_error(request->media[i].g));
+    error = fmax(error, core_transport_slope_error(medium_at(request, i)->g));
   }
   return error > 0 ? error + DBL_EPSILON : 0;
 }
@@ -137,11 +150,19 @@ static void set_solved(core_candidate *candidate, const core_choose_request *req
   const bool follows_R = (request->wanted & FOLLOWS_R) != 0;
   const bool of_cdf = (request->wanted & (ELEMENTWISE & ~FOLLOWS_R)) != 0;
   bool near = of_cdf || (request->wanted & (CORE_QUANTITY_PDF | CORE_QUANTITY_SLOPE)) != 0;
+  bool layered = false;
   double beyond = 0;
-  for (size_t i = 0; i < request->media_count && follows_R; i++) {
-    const core_medium *medium = &request->media[i];
-    near |= request->radii.least_mm * core_sigma_t_prime(medium) < SOLVER_NEAR;
-    beyond = fmax(beyond, core_error_beyond(core_transport_reach(medium), request->radii.most_mm));
+  for (size_t i = 0; i < request->media_count; i++) {
+    const core_medium *medium = medium_at(request, i);
+    if (!is_half_space(medium)) {
+      layered = true;
+      continue; /* The errors of layers are nearly the same at all radii. */
+    }
+    if (follows_R) {
+      near |= request->radii.least_mm * core_sigma_t_prime(medium) < SOLVER_NEAR;
+      beyond =
+          fmax(beyond, core_error_beyond(core_transport_reach(medium), request->radii.most_mm));
+    }
   }
   const bool doubled = of_cdf || (request->wanted & CORE_QUANTITY_PDF) != 0;
   const double errors = (request->wanted & CORE_QUANTITY_SLOPE) != 0 ? SLOPE_ERRORS
@@ -153,7 +174,7 @@ static void set_solved(core_candidate *candidate, const core_choose_request *req
     const double tolerance = of_R * BELOW / (near ? SOLVER_NEAR_FACTOR : 1);
     candidate->looked_up = false;
     candidate->left = left;
-    candidate->numerical_tolerance = tolerance >= LOOSE               ? (double)NAN
+    candidate->numerical_tolerance = tolerance >= LOOSE && !layered   ? (double)NAN
                                      : tolerance >= SOLVER_NOT_FINEST ? tolerance
                                                                       : CORE_TOLERANCE_FINEST;
     candidate->numerical_error = left;

@@ -17,6 +17,8 @@
 typedef struct core_choose_request {
   const core_medium *media; /* one for each channel; they all get the same model */
   size_t media_count;       /* at least 1 */
+  uint32_t layer_count; /* of each medium: media[media_count * layer_count] */
+  double eta_below;     /* as the parameter; NAN: not given */
   unsigned wanted;          /* bits of enum core_quantity */
   core_radii_range radii;   /* read only if an elementwise quantity is wanted */
   uint64_t radius_count;    /* number of radii, the same for each medium */

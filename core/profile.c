@@ -7,6 +7,7 @@
 
 #include "core/kernels.h"
 #include "core/lut/lut.h"
+#include "core/ruler.h"
 
 #define CORE_MODEL(id, IDENT, name, formula, kernels, variant, parameters, source)                 \
   extern core_check_function core_##formula##_check;                                               \
@@ -66,14 +67,27 @@ bool core_has_derivatives(unsigned model) {
                                                       core_has_derivatives(found->parts[1]));
 }
 
+/* Returns the model, or the one that it is fitted to. */
+static const struct model *find_fitted(unsigned model, const core_parameters *parameters) {
+  const struct model *found = find_model(model);
+  const double fitted = parameters->value[CORE_PARAMETER_FIT_MODEL];
+  return found != NULL && (parameters_of(found) & BIT(FIT_MODEL)) != 0 && !isnan(fitted)
+             ? find_model((unsigned)fitted)
+             : found;
+}
+
+unsigned core_ruler_of(unsigned model, const core_parameters *parameters) {
+  const struct model *found = find_fitted(model, parameters);
+  return found != NULL && (parameters_of(found) & SLABS) != 0 &&
+                 (found->variant & CORE_SLAB_TRANSMITTED) != 0
+             ? CORE_MODEL_TRANSPORT_TRANSMITTED
+             : CORE_MODEL_TRANSPORT;
+}
+
 bool core_has_to_solve(unsigned model, const core_medium *medium,
                        const core_parameters *parameters) {
   const double *value = parameters->value;
-  const struct model *found = find_model(model);
-  if (found != NULL && (parameters_of(found) & BIT(FIT_MODEL)) != 0 &&
-      !isnan(value[CORE_PARAMETER_FIT_MODEL])) {
-    found = find_model((unsigned)value[CORE_PARAMETER_FIT_MODEL]);
-  }
+  const struct model *found = find_fitted(model, parameters);
   const core_medium taken = core_transport_medium(medium, value[CORE_PARAMETER_GAMMA]);
   return found != NULL && (parameters_of(found) & SOLVES) != 0 &&
          (medium->thickness_mm > 0 ||
@@ -83,10 +97,9 @@ bool core_has_to_solve(unsigned model, const core_medium *medium,
 bool core_prepares_slowly(unsigned model, unsigned evaluator, const core_medium *medium,
                           const core_parameters *parameters) {
   const struct model *found = find_model(model);
-  return found != NULL &&
-         (evaluator == CORE_EVALUATOR_LUT || (parameters_of(found) & SLOW) != 0 ||
-          (medium == NULL ? (parameters_of(found) & SOLVES) != 0
-                          : core_has_to_solve(model, medium, parameters)));
+  return found != NULL && (evaluator == CORE_EVALUATOR_LUT || (parameters_of(found) & SLOW) != 0 ||
+                           (medium == NULL ? (parameters_of(found) & SOLVES) != 0
+                                           : core_has_to_solve(model, medium, parameters)));
 }
 
 bool core_finds_albedo_slowly(unsigned model) {

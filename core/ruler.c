@@ -12,13 +12,13 @@
 bool core_ruler_is_needed(unsigned model, const core_parameters *parameters,
                           const core_medium *medium, bool solves) {
   const double *value = parameters->value;
-  const bool plain = isnan(value[CORE_PARAMETER_GAMMA]) && !(medium->thickness_mm > 0) &&
-                     isnan(value[CORE_PARAMETER_SURFACE_ALBEDO]);
+  const bool plain =
+      isnan(value[CORE_PARAMETER_GAMMA]) && isnan(value[CORE_PARAMETER_SURFACE_ALBEDO]);
   return !core_solves(model) && plain &&
-         core_profile_check(CORE_MODEL_TRANSPORT, CORE_MOMENTS_EXACT, CORE_EVALUATOR_F64, medium,
-                            NULL, NULL)
+         core_profile_check(core_ruler_of(model, parameters), CORE_MOMENTS_EXACT,
+                            CORE_EVALUATOR_F64, medium, NULL, NULL)
                  .field == NULL &&
-         (solves || core_transport_is_stored(medium));
+         (solves || (!(medium->thickness_mm > 0) && core_transport_is_stored(medium)));
 }
 
 enum {

@@ -12,10 +12,13 @@
 #include "core/model_error.h"
 
 /* Returns whether core_model_error() needs the ruler for this model and medium and can get it: from
- * the table of solutions, or by solving if `solves`. There is no ruler for slabs, for a surface
- * albedo and for gamma. */
+ * the table of solutions, or by solving if `solves`, as slabs always are. There is no ruler for a
+ * surface albedo and for gamma. */
 bool core_ruler_is_needed(unsigned model, const core_parameters *parameters,
                           const core_medium *medium, bool solves);
+
+/* Returns the model that is the ruler of a model: transport, or that of the light below a slab. */
+unsigned core_ruler_of(unsigned model, const core_parameters *parameters);
 
 /* The largest number of radii at which models are compared. If a request has more, this many are
  * chosen. */

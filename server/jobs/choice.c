@@ -14,10 +14,11 @@ static wire_error check_media(const eval_request *request) {
   const uint32_t layers = request->fixed.layer_count;
   for (uint32_t i = 0; i < request->fixed.medium_count; i++) {
     const core_medium *medium = &request->media[(size_t)i * layers];
-    core_fault fault = core_layers_check(medium, layers);
-    if (fault.field == NULL && medium->thickness_mm > 0) {
-      fault = (core_fault){"model", "a model of the list: media with layers or slabs need one", 0};
-    }
+    const core_fault fault =
+        layers > 1 || medium->thickness_mm > 0
+            ? core_profile_check(CORE_MODEL_TRANSPORT, request->fixed.moments, CORE_EVALUATOR_F64,
+                                 medium, &request->parameters, NULL)
+            : core_layers_check(medium, layers);
     if (fault.field != NULL) {
       wire_error error = wire_error_make(WIRE_STATUS_BAD_VALUE, fault.field, fault.allowed);
       error.index = (uint64_t)i * layers + fault.index;
@@ -56,6 +57,8 @@ core_choose_request choice_request(const eval_request *request, core_radii_range
   return (core_choose_request){
       .media = request->media,
       .media_count = fixed->medium_count,
+      .layer_count = fixed->layer_count,
+      .eta_below = request->parameters.value[CORE_PARAMETER_ETA_BELOW],
       .wanted = wanted_of(fixed),
       .radii = radii,
       .radius_count = fixed->radius_count,
@@ -89,7 +92,7 @@ static size_t worst_medium(const core_choose_request *requested) {
   double most = -1;
   one.media_count = 1;
   for (size_t i = 0; i < requested->media_count; i++) {
-    one.media = &requested->media[i];
+    one.media = &requested->media[i * requested->layer_count];
     const double error = best_of(&one).error;
     worst = error > most ? i : worst;
     most = fmax(most, error);
@@ -104,7 +107,7 @@ static bool is_known(const core_choose_request *requested, unsigned which, doubl
   *(which == 0 ? &medium.g : which == 1 ? &medium.eta : &medium.sigma_a_per_mm) = value;
   medium.sigma_s_per_mm /= 1 - medium.g;
   one.media = &medium;
-  one.media_count = 1;
+  one.media_count = one.layer_count = 1;
   one.radii.least_mm = one.radii.most_mm = 1 / (medium.sigma_a_per_mm + 1);
   return best_of(&one).error <= 1;
 }
@@ -112,7 +115,7 @@ static bool is_known(const core_choose_request *requested, unsigned which, doubl
 /* Writes which coefficient of a medium no error is known for, and up to where one is. */
 static void describe_cause(const core_choose_request *requested, size_t worst, char *text,
                            size_t bytes) {
-  const core_medium *medium = &requested->media[worst];
+  const core_medium *medium = &requested->media[worst * requested->layer_count];
   const double ratio = medium->sigma_a_per_mm / (medium->sigma_s_per_mm * (1 - medium->g));
   const struct {
     const char *name;

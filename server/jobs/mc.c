@@ -240,7 +240,7 @@ static void thread_main(void *argument) {
   struct mc_pool *pool = argument;
   struct walk *walk;
   struct photon_batch *batch = NULL;
-  cache_lower_priority();
+  cache_lower_priority(10);
   uv_mutex_lock(&pool->mutex);
   while (!pool->stopping) {
     const enum turn turn = find_turn(pool, &walk, &batch);

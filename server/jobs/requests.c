@@ -197,17 +197,16 @@ static bool cancel_requests(void *canceller, uint64_t request_id) {
   return found;
 }
 
-bool requests_give_up(struct requests *r) {
-  const wire_error error =
-      wire_error_make(WIRE_STATUS_CANCELLED, "connection", "one whose client may still send");
-  bool any = r->run.state == RUN_WAITS;
+bool requests_give_up(struct requests *r, const wire_error *error, bool all) {
+  bool any = r->run.state == RUN_WAITS || (all && r->run.state != RUN_IDLE);
   struct detached *one;
   if (any) {
-    run_end(&r->run, &error);
+    run_end(&r->run, error);
   }
   TAILQ_FOREACH(one, &r->detached, in_requests) {
-    if (one->run.state == RUN_WAITS && one->type->kind->stop == NULL) {
-      run_end(&one->run, &error);
+    if (all ? !has_ended(one) : one->run.state == RUN_WAITS && one->type->kind->stop == NULL) {
+      one->waits = false;
+      run_end(&one->run, error);
       any = true;
     }
   }

@@ -75,9 +75,9 @@ uint64_t requests_deadline_ms(const struct requests *requests);
 /* Refuses waiting requests whose deadline has passed. Returns whether there were any. */
 bool requests_expire(struct requests *requests);
 
-/* Refuses the requests that wait for a preparation: their client seems to have gone. Returns whether
- * there were any. */
-bool requests_give_up(struct requests *requests);
+/* Refuses the requests that wait for a preparation; all: every request that is under way. Returns
+ * whether there were any. */
+bool requests_give_up(struct requests *requests, const wire_error *error, bool all);
 
 /* Returns the header of a request that waits for a preparation or is detached; NULL if there is none. */
 const wire_header *requests_waiting(const struct requests *requests);

@@ -285,6 +285,11 @@ static bool awaits_detached(struct connection *c) {
          requests_stop_detached(&c->requests, c->peer_done ? JOB_CANCELLED : JOB_DAEMON_STOPS);
 }
 
+static wire_error stopping_error(void) {
+  return wire_error_make(WIRE_STATUS_SHUTTING_DOWN, "daemon",
+                         "another one, or this one when it has been started again");
+}
+
 /* Called when all complete frames have been served. If the peer is done or the daemon stops,
  * sends the last error, if any, and takes no more frames. */
 static void end_if_done(struct connection *c) {
@@ -296,9 +301,7 @@ static void end_if_done(struct connection *c) {
                  wire_error_make(WIRE_STATUS_TRUNCATED, "payload_bytes",
                                  "as many bytes as the header announces"));
   } else if (c->stopping && !c->peer_done) {
-    requests_end(&c->requests, 0,
-                 wire_error_make(WIRE_STATUS_SHUTTING_DOWN, "daemon",
-                                 "another one, or this one when it has been started again"));
+    requests_end(&c->requests, 0, stopping_error());
   }
   c->requests.ended |= c->peer_done;
   write_more(c);
@@ -462,7 +465,9 @@ static void check_time(struct client *client, uint64_t now_ms) {
     return;
   }
   requests_trim(&c->requests, now_ms);
-  if (c->peer_done && is_gone(c, now_ms) && requests_give_up(&c->requests)) {
+  const wire_error gone =
+      wire_error_make(WIRE_STATUS_CANCELLED, "connection", "one whose client may still send");
+  if (c->peer_done && is_gone(c, now_ms) && requests_give_up(&c->requests, &gone, false)) {
     worker_run_later(&c->client);
   }
   if (!requests_hold_input(&c->requests)) {
@@ -510,8 +515,17 @@ static void check_deadlines(struct client *client) {
   }
 }
 
+/* Refuses what is still under way, as far as the peer reads, so that it requests that elsewhere. */
 static void abort_client(struct client *client) {
-  abort_connection(connection_of(client));
+  struct connection *c = connection_of(client);
+  if (!c->closing) {
+    const wire_error error = stopping_error();
+    uint64_t budget = 0;
+    requests_give_up(&c->requests, &error, true);
+    requests_step_detached(&c->requests, &budget); /* writes the refusals */
+    end_if_done(c);
+  }
+  abort_connection(c);
 }
 
 static bool is_busy(const struct client *client) {

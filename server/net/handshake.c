@@ -189,7 +189,7 @@ static void start_client(struct client *client) {
   struct handshake *h = handshake_of(client);
   struct handshakes *all = h->all;
   atomic_fetch_sub(&all->waiting, 1);
-  cache_lower_priority();
+  cache_lower_priority(10);
   if (uv_poll_init(worker_loop(client->worker), &h->poll, h->fd) != 0) {
     worker_forget(client);
     close(h->fd);

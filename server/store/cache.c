@@ -13,7 +13,7 @@ enum {
   LISTS = 3,         /* things that are fast to prepare, slow ones, and those apart */
   APART = 2,         /* index of the list of things apart */
   THREADS_MOST = 2,  /* that prepare in each lane */
-  LOW_PRIORITY = 10, /* nice value, which gives a tenth of the share of a worker on its core */
+  SOLVE_NICE = 5, /* which gives a third of the share of a worker on its core */
 };
 
 struct cache_entry {
@@ -606,10 +606,10 @@ void cache_prepare(struct cache_entry *entry) {
   release_all(&evicted);
 }
 
-void cache_lower_priority(void) {
+void cache_lower_priority(int nice_least) {
   const id_t thread = (id_t)gettid(); /* On Linux, these functions take the id of a thread. */
-  if (getpriority(PRIO_PROCESS, thread) < LOW_PRIORITY) {
-    setpriority(PRIO_PROCESS, thread, LOW_PRIORITY); /* which every thread may do */
+  if (getpriority(PRIO_PROCESS, thread) < nice_least) {
+    setpriority(PRIO_PROCESS, thread, nice_least); /* which every thread may do */
   }
 }
 
@@ -617,7 +617,7 @@ static void take_turns(void *argument) {
   struct lane *lane = argument;
   struct cache *cache = lane->cache;
   if (lane == &cache->lanes[CACHE_SOLVED - CACHE_SLOW]) {
-    cache_lower_priority();
+    cache_lower_priority(SOLVE_NICE);
   }
   uv_mutex_lock(&cache->mutex);
   while (!cache->stopping) {

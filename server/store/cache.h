@@ -193,9 +193,10 @@ void cache_end_turn(struct cache_entry *entry);
  * solved, that stops. */
 void cache_prepare(struct cache_entry *entry);
 
-/* Lowers the priority of this thread, for work that takes long. A daemon that was started with a still
- * lower priority keeps it. A thread may not raise its priority again. */
-void cache_lower_priority(void);
+/* Lowers the priority of this thread to this nice value, for work that takes long: 10 gives a tenth of
+ * the share of a worker on its core. A daemon that was started with a still lower priority keeps it. A
+ * thread may not raise its priority again. */
+void cache_lower_priority(int nice_least);
 
 /* Makes all waiters of `from` waiters of `to`; `from` may then be freed. */
 void cache_move_waiters(struct cache *cache, struct cache_owner *from, struct cache_owner *to);

@@ -264,7 +264,8 @@ enum lookup_state profiles_get_ruler(struct profiles *profiles, struct profiles_
     return LOOKUP_READY;
   }
   const core_parameters none = core_parameters_none();
-  profiles_start(lookup, CORE_MODEL_TRANSPORT, CORE_MOMENTS_EXACT, CORE_EVALUATOR_F64, &none);
+  profiles_start(lookup, core_ruler_of(model, parameters), CORE_MOMENTS_EXACT, CORE_EVALUATOR_F64,
+                 &none);
   return profiles_get(profiles, lookup, medium);
 }
 

@@ -9,6 +9,8 @@ static const core_medium ordinary = {0.05, 1, 0, 1.4};
 static core_choose_request easy(const core_medium *media, size_t media_count) {
   return (core_choose_request){
       .media = media,
+      .layer_count = 1,
+      .eta_below = (double)NAN,
       .media_count = media_count,
       .wanted = CORE_QUANTITY_R,
       .radii = {5, 10},
@@ -58,6 +60,8 @@ UNIT_TEST(promises_are_what_is_stated) {
     const double least = unit_random_log(&random, 0.01, 10);
     const core_choose_request request = {
         .media = &medium,
+        .layer_count = 1,
+        .eta_below = (double)NAN,
         .media_count = 1,
         .wanted = wants[unit_random_below(&random, sizeof wants / sizeof wants[0])],
         .radii = {least, least * unit_random_log(&random, 1, 10)},

@@ -158,7 +158,16 @@ UNIT_TEST(it_is_known_where_transport_is) {
   assert_false(needs(CORE_MODEL_TRANSPORT, usual, CORE_PARAMETER_TOLERANCE, false));
   core_medium slab = usual;
   slab.thickness_mm = 1;
-  assert_false(needs(CORE_MODEL_MULTIPOLE, slab, CORE_PARAMETER_TOLERANCE, true));
+  assert_false(needs(CORE_MODEL_MULTIPOLE, slab, CORE_PARAMETER_TOLERANCE, false));
+  assert_true(needs(CORE_MODEL_MULTIPOLE, slab, CORE_PARAMETER_TOLERANCE, true));
+  const core_parameters none = core_parameters_none();
+  core_parameters fitted = none;
+  fitted.value[CORE_PARAMETER_FIT_MODEL] = CORE_MODEL_BETTER_MULTIPOLE_TRANSMITTED;
+  assert_int_equal(core_ruler_of(CORE_MODEL_MULTIPOLE, &none), CORE_MODEL_TRANSPORT);
+  assert_int_equal(core_ruler_of(CORE_MODEL_SKIN_BLUE, &none), CORE_MODEL_TRANSPORT);
+  assert_int_equal(core_ruler_of(CORE_MODEL_MULTIPOLE_TRANSMITTED, &none),
+                   CORE_MODEL_TRANSPORT_TRANSMITTED);
+  assert_int_equal(core_ruler_of(CORE_MODEL_GAUSSIANS, &fitted), CORE_MODEL_TRANSPORT_TRANSMITTED);
   assert_false(needs(CORE_MODEL_BURLEY, usual, CORE_PARAMETER_SURFACE_ALBEDO, true));
   assert_false(needs(CORE_MODEL_BETTER, medium_of(0.1, 0, 5), CORE_PARAMETER_TOLERANCE, true));
   assert_false(needs(CORE_MODEL_BETTER, medium_of(500, 0, 1.4), CORE_PARAMETER_TOLERANCE, false));

@@ -99,6 +99,8 @@ static double chosen(const struct truth *truth, uint64_t *random, size_t *promis
   size_t first, last;
   const core_choose_request request = {
       .media = &truth->medium,
+      .layer_count = 1,
+      .eta_below = (double)NAN,
       .media_count = 1,
       .wanted = CORE_QUANTITY_R,
       .radii = draw_range(truth, &first, &last, random),

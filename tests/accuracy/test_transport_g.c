@@ -491,6 +491,8 @@ UNIT_TEST(outside_of_the_table_media_are_solved_or_refused) {
     assert_true(core_prepares_slowly(CORE_MODEL_TRANSPORT, CORE_EVALUATOR_F32, medium, &none));
     core_choose_request request = {
         .media = medium,
+        .layer_count = 1,
+        .eta_below = (double)NAN,
         .media_count = 1,
         .wanted = CORE_QUANTITY_R,
         .radii = {1 / core_sigma_t_prime(medium), 2 / core_sigma_t_prime(medium)},
@@ -519,6 +521,8 @@ UNIT_TEST(a_tolerance_is_answered) {
   const core_medium tissue = {0.05, 9.5, 0.9, 1.4};
   for (int single = 0; single < 2; single++) {
     core_choose_request request = {.media = &tissue,
+                                   .layer_count = 1,
+                                   .eta_below = (double)NAN,
                                    .media_count = 1,
                                    .wanted = CORE_QUANTITY_R | CORE_QUANTITY_ALBEDO,
                                    .radii = {0.1, 5},

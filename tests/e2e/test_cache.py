@@ -232,19 +232,38 @@ def test_a_solution_that_nobody_waits_for_stops(daemon):
     assert not any("drain-timeout" in line for line in one.log)
 
 
+def endless() -> bytes:
+    """Makes a request for a stack that takes minutes."""
+    return payload("transport", [(0.1, 10.0, 0.9, 1.4, 0.5)] * 6, medium_count=1, layer_count=6,
+                   parameters=[(PARAMETERS["tolerance"].id, 1e-8)])  # fmt: skip
+
+
 def test_a_solution_holds_up_no_table(daemon):
-    """The stack takes minutes. Until the table is there, nobody gives it up."""
-    stack = payload("transport", [(0.1, 10.0, 0.9, 1.4, 0.5)] * 6, medium_count=1, layer_count=6,
-                    parameters=[(PARAMETERS["tolerance"].id, 1e-8)])  # fmt: skip
+    """Until the table is there, nobody gives the stack up."""
     one = daemon()
     counted = Counted(one)
     with one.connect() as solves, one.connect() as looks:
-        solves.send_bytes(frame(EVAL, 77, stack))
+        solves.send_bytes(frame(EVAL, 77, endless()))
         assert under_way(counted)
         assert ask(looks, EVAL, slow()).type == REPLY
         assert counted["builds"] == 2 and counted["entries"] == 1
     one.terminate()
     assert one.wait() == 0
+
+
+def test_what_outlasts_the_drain_is_refused(daemon):
+    """Clients then request it from another daemon. Requests behind it have the last error."""
+    one = daemon("--drain-timeout-ms", "300")
+    counted = Counted(one)
+    with one.connect("tcp") as connection:
+        connection.send_bytes(frame(EVAL, 77, endless()) + frame(EVAL, 78, payload("better")))
+        assert under_way(counted)
+        one.terminate()
+        for request_id in (77, 0):
+            assert_error(connection.receive_frame(), "shutting-down", "daemon", "another one", request_id=request_id)
+        assert_closed(connection)
+    assert one.wait() == 0
+    assert any("event=drain-timeout connections=1" in line for line in one.log)
 
 
 def test_a_client_that_ends_its_side_waits_for_no_solution(daemon):

@@ -115,6 +115,35 @@ UNIT_TEST(only_what_misses_is_solved_finely) {
   assert_int_equal(solved, 2);
 }
 
+/* Layers are solved to the tolerance, however loose, and a refusal names what is kept, too. */
+UNIT_TEST(a_tolerance_chooses_the_grids_of_layers) {
+  static const core_medium skin[] = {{0.5, 10, 0.8, 1.4, 0.1}, {0.05, 10, 0.8, 1.4, 0}};
+  static const double usual[] = {8e-3}, missed[] = {1.2e-2}, finest[] = {2e-3};
+  size_t solved;
+  eval_request request = request_of(skin, 1, 1e-2);
+  request.fixed.layer_count = request.parameters.layer_count = 2;
+  eval_request finer = request, hopeless = request;
+  assert_kept(answer(&request, skin, usual, finest, &solved));
+  assert_int_equal(solved, 1);
+  const double taken = request.parameters.value[CORE_PARAMETER_TOLERANCE];
+  assert_true(request.fixed.model == CORE_MODEL_TRANSPORT && taken > 9e-3 && taken <= 1e-2);
+  assert_kept(answer(&finer, skin, missed, finest, &solved));
+  assert_int_equal(solved, 2);
+  hopeless.parameters.value[CORE_PARAMETER_TOLERANCE] = 1e-3;
+  const wire_error error = answer(&hopeless, skin, missed, finest, &solved);
+  assert_true(fabs(named_by(&error) - 2e-3) < 4e-5);
+
+  request = request_of(skin, 1, 1e-2); /* a slab */
+  assert_true(choice_check(&request).status == WIRE_STATUS_OK);
+  request.fixed.layer_count = request.parameters.layer_count = 2;
+  assert_true(choice_check(&request).status == WIRE_STATUS_OK);
+  const core_medium wrong[] = {skin[0], {0.05, 10, 0.8, 5, 0}};
+  request.media = wrong;
+  const wire_error beyond = choice_check(&request);
+  assert_string_equal(beyond.field, "eta");
+  assert_int_equal(beyond.index, 1);
+}
+
 /* Named, transport comes from its table wherever that keeps the tolerance at the radii. */
 UNIT_TEST(a_named_tolerance_counts_at_the_radii) {
   const struct choice_state named = {.tolerance = (double)NAN, .left = (double)NAN};
