@@ -129,7 +129,8 @@ typedef struct core_inputs {
   const core_medium *medium;
   const core_parameters *parameters;
   const core_isa *isa;
-  /* the largest error of a profile that a table is made of; 0 if none is made */
+  /* the largest error of a profile that a table is made of, infinite if the request states none; 0
+   * if no table is made */
   double accepted;
   /* whether only the albedo is requested; a formula may then skip the rest */
   bool only_albedo;

@@ -446,13 +446,13 @@ static bool is_tolerance(core_fault fault) {
 static core_fault prepare_table(core_profile *profile, const struct model *model,
                                 core_inputs inputs, core_radii_range radii) {
   core_parameters parameters = *inputs.parameters;
-  const double tolerance =
-      fmin(core_parameter_or(&inputs, CORE_PARAMETER_TOLERANCE, CORE_LUT_TOLERANCE),
-           CORE_LUT_TOLERANCE_MAX);
+  const double asked = core_parameter_or(&inputs, CORE_PARAMETER_TOLERANCE, CORE_LUT_TOLERANCE);
+  const double tolerance = fmin(asked, CORE_LUT_TOLERANCE_MAX);
+  inputs.accepted = isnan(parameters.value[CORE_PARAMETER_TOLERANCE]) ? (double)INFINITY
+                                                                      : ACCEPTED_SHARE * tolerance;
   parameters.value[CORE_PARAMETER_TOLERANCE] =
       fits(model) ? (double)NAN : fmin(SOURCE_SHARE * tolerance, CORE_LUT_TOLERANCE);
   inputs.parameters = &parameters;
-  inputs.accepted = ACCEPTED_SHARE * tolerance;
   core_profile *source = malloc(sizeof *source);
   if (source == NULL) {
     return CORE_OUT_OF_MEMORY;

@@ -1263,7 +1263,9 @@ static core_fault prepare_layers(const core_inputs *inputs, double tolerance,
 
 /* ---- preparing -------------------------------------------------------------------------------- */
 
-#define TOLERANCE 1e-3 /* default tolerance of the solver */
+/* Default tolerances of the solver. Layers take ten times as long for 1e-3. */
+#define TOLERANCE 1e-3
+#define LAYERS_TOLERANCE 1e-2
 
 core_fault core_transport_prepare(const core_inputs *inputs, core_preparation *preparation) {
   const core_medium medium = medium_of(inputs);
@@ -1272,18 +1274,19 @@ core_fault core_transport_prepare(const core_inputs *inputs, core_preparation *p
   if (!scatters(inputs)) {
     return fill_nothing(core_sigma_t_prime(&medium), preparation);
   }
-  const double tolerance = inputs->accepted > 0
+  const double usual = is_layered(inputs) ? LAYERS_TOLERANCE : TOLERANCE;
+  const double tolerance = isinf(inputs->accepted) ? usual
+                           : inputs->accepted > 0
                                ? fmax(inputs->accepted, TOLERANCE)
-                               : inputs->parameters->value[CORE_PARAMETER_TOLERANCE];
+                               : core_parameter_or(inputs, CORE_PARAMETER_TOLERANCE, usual);
   if (is_layered(inputs)) {
-    return prepare_layers(inputs, isnan(tolerance) ? TOLERANCE : tolerance, preparation);
+    return prepare_layers(inputs, tolerance, preparation);
   }
   const bool any = inputs->accepted > 0 || inputs->only_albedo; /* the albedo's error is small */
   return inputs->light == CORE_LIGHT_BEAM &&
                  core_transport_is_looked_up(&medium, any ? (double)NAN : tolerance)
              ? prepare_stored(inputs, &medium, preparation)
-             : prepare_solved(inputs, &medium, isnan(tolerance) ? TOLERANCE : tolerance,
-                              preparation);
+             : prepare_solved(inputs, &medium, tolerance, preparation);
 }
 
 #endif
