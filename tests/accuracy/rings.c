@@ -24,9 +24,10 @@
  * states; beyond is by how many standard errors Monte Carlo is off by more than what is stated.
  *
  * `stacks` solves COUNT random stacks of 1 to 5 layers with the tolerances 1e-2 and 1e-3 and on the
- * finest grid, and prints a line of CSV for R and one for T of each: the largest relative error that
- * is stated from 0.05 to 30 reduced mean free paths of the first layer, where R is above 1e-9 of
- * its largest, and share, the largest difference from the finest grid over what is stated. */
+ * finest grid but one (T's wavenumbers on the finest reach further than its digits), and prints a
+ * line of CSV for R and one for T of each: the largest relative error that is stated from 0.05 to 30
+ * reduced mean free paths of the first layer, where R is above 1e-9 of its largest, and share, the
+ * largest difference from that grid over what is stated. */
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
@@ -300,7 +301,7 @@ static bool check_walked(double millions, size_t first, size_t count) {
 
 /* ---- stacks of layers ------------------------------------------------------------------------- */
 
-enum { STACK_LAYERS = 5, FINEST_LEVEL = 5 };
+enum { STACK_LAYERS = 5, REFERENCE_LEVEL = 4 };
 
 static size_t draw_stack(uint64_t *state, solver_layer layer[STACK_LAYERS], double *eta_below) {
   const size_t count = 1 + (size_t)(core_splitmix(state) % STACK_LAYERS);
@@ -324,7 +325,7 @@ static bool check_stack(size_t number, const solver_layer *layer, size_t count, 
   const core_isa *isa = core_isa_select(NULL);
   static const double tolerances[] = {1e-2, 1e-3};
   enum { TOLERANCES = sizeof tolerances / sizeof tolerances[0] };
-  solver_layers *finest, *solution[TOLERANCES];
+  solver_layers *fine, *solution[TOLERANCES];
   double seconds[TOLERANCES];
   for (size_t i = 0; i < TOLERANCES; i++) {
     const double start = seconds_now();
@@ -336,7 +337,7 @@ static bool check_stack(size_t number, const solver_layer *layer, size_t count, 
       return true;
     }
   }
-  tools_check(solver_layers_solve_level(&finest, isa, layer, count, eta_below, FINEST_LEVEL, NULL),
+  tools_check(solver_layers_solve_level(&fine, isa, layer, count, eta_below, REFERENCE_LEVEL, NULL),
               "the solver");
   const double mfp_mm = 1 / (layer[0].sigma_a_per_mm + layer[0].sigma_s_per_mm * (1 - layer[0].g));
   bool good = true;
@@ -344,9 +345,9 @@ static bool check_stack(size_t number, const solver_layer *layer, size_t count, 
     printf("%zu,%zu,%c", number, count, "RT"[side]);
     for (size_t i = 0; i < TOLERANCES; i++) {
       double stated = 0, share = 0, at = 0;
-      const double large = solver_layers_at(finest, side, 0.05 * mfp_mm).value;
+      const double large = solver_layers_at(fine, side, 0.05 * mfp_mm).value;
       for (double r = 0.05; r < 30; r *= 1.25) {
-        const double truth = solver_layers_at(finest, side, r * mfp_mm).value;
+        const double truth = solver_layers_at(fine, side, r * mfp_mm).value;
         const transport_number R = solver_layers_at(solution[i], side, r * mfp_mm);
         if (!(truth > 1e-9 * large)) {
           break;
@@ -366,7 +367,7 @@ static bool check_stack(size_t number, const solver_layer *layer, size_t count, 
   for (size_t i = 0; i < TOLERANCES; i++) {
     solver_layers_free(solution[i]);
   }
-  solver_layers_free(finest);
+  solver_layers_free(fine);
   return good;
 }
 
