@@ -3,10 +3,8 @@ the README's figure of tissue, which scatters forward.
 
 A daemon of its own computes all values. Written into the folder:
 
-    index.html              all pictures, and what each says
-    figure_NN_log.svg, figure_NN_gamma.svg, figure_NN.csv, figure_NN_albedos.csv
+    figure_NN.svg, figure_NN.csv, figure_NN_albedos.csv
     summary.csv             which model is nearer to transport
-    monte_carlo_check.csv   whether Monte Carlo agrees with transport
     tissue.svg, tissue.csv  R of tissue by transport, by its similarity approximation, by dipoles
     layers.svg, layers.csv, slab.csv  R of skin's two layers and of one medium; a slab's R and T, multipoles
     parts/                  tables of Monte Carlo, which a second run reads
@@ -232,21 +230,6 @@ def summary_rows(panels: Sequence[Panel]) -> Iterator[Sequence[Any]]:
 
 
 # With fewer photons the errors that Monte Carlo states are too uncertain for a check.
-CHECK_PHOTONS_LEAST = 120_000
-CHECK_ERROR_MOST = 0.05  # relative standard error of R; rings with a larger one are omitted
-
-
-def check_rows(panels: Sequence[Panel], photons: int) -> Iterator[Sequence[Any]]:
-    """Monte Carlo against transport, for each panel. Deviations are in standard errors."""
-    for p in panels if photons >= CHECK_PHOTONS_LEAST else []:
-        R, error = p.values["monte_carlo"], p.values["monte_carlo_error"]
-        known = (R > 0) & (error < CHECK_ERROR_MOST * R)
-        off = (R - p.values["transport_ring"])[known] / error[known]
-        albedo = p.albedos["monte_carlo"] - p.albedos["transport"]
-        sigmas = albedo / p.albedos["monte_carlo_error"]
-        yield [p.ratio, p.eta, len(off), (off**2).sum(), np.abs(off).max(initial=0), sigmas]
-
-
 # ---- pages ---------------------------------------------------------------------------------------
 
 PAGE_COLUMNS, PAGE_ROWS = 4, 3
@@ -300,65 +283,43 @@ def set_logarithmic(page: Page, axes: plt.Axes) -> None:
     axes.set_xlim(EDGES.start_mm, EDGES.stop_mm)
 
 
-def set_gamma(page: Page, axes: plt.Axes) -> None:
-    """The axis of values ends at transport's largest value at 0.2 mean free paths. The axis of
-    radii ends where all of transport's values are so small that they look dark."""
-
-    def brightest(r: float) -> float:
-        shown = ((gamma(p.values["transport"]), p.r) for p in page.cells.values())
-        return max(R[np.searchsorted(radii, r)] for R, radii in shown)
-
-    dark = [r for r in (15, 10, 7, 5, 3, 2) if brightest(r) < 0.04]
-    axes.set(xlim=(0, min(dark, default=EDGES.stop_mm)), ylim=(0, brightest(0.2)))
-
-
-def gamma(R: np.ndarray) -> np.ndarray:
-    """Returns the approximate brightness of a colour on a screen, 0 to 1."""
-    return np.power(R, 1 / 2.2)
-
-
-def draw_dots(axes: plt.Axes, r: np.ndarray, values: np.ndarray, error: np.ndarray, shown: Any) -> None:
+def draw_dots(axes: plt.Axes, r: np.ndarray, values: np.ndarray, error: np.ndarray) -> None:
     """Monte Carlo with its standard errors, where they are small enough."""
     good = (values > 0) & (error < DOT_ERROR_MOST * values)
     R, error = values[good], error[good]
-    ends = [shown(R) - shown(R - error), shown(R + error) - shown(R)]
     axes.errorbar(
-        r[good], shown(R), ends, fmt=".", markersize=3, elinewidth=0.8, color=DOT_COLOUR,
+        r[good], R, error, fmt=".", markersize=3, elinewidth=0.8, color=DOT_COLOUR,
         label="Monte Carlo, ± 1 standard error",
     )  # fmt: skip
 
 
-def draw_panel(axes: plt.Axes, page: Page, panel: Panel, form: str) -> None:
+def draw_panel(axes: plt.Axes, page: Page, panel: Panel) -> None:
     """A panel's curves, and its albedos as text."""
-    shown = gamma if form == "gamma" else np.asarray
     labels = [(f"{line[1]} {panel.albedos[line[0]]:.4g}", line[2]) for line in page.lines]
-    (set_gamma if form == "gamma" else set_logarithmic)(page, axes)
+    set_logarithmic(page, axes)
     for name, title, colour, dash, width in page.lines:
         R = np.where(panel.values[name] > 0, panel.values[name], math.nan)
-        axes.plot(panel.r, shown(R), dash, lw=width, color=colour, label=title, gid=f"curve {name}")
+        axes.plot(panel.r, R, dash, lw=width, color=colour, label=title, gid=f"curve {name}")
     if "monte_carlo" in panel.values:
         total, error = panel.albedos["monte_carlo"], panel.albedos["monte_carlo_error"]
         labels.insert(0, (f"Monte Carlo {total:.4g} ± {error:.1g}", DOT_COLOUR))
         # Transport's ratio of the two turns ring means into values at the rings' middles.
         move = panel.values["transport"] / panel.values["transport_ring"]
         R, error = panel.values["monte_carlo"] * move, panel.values["monte_carlo_error"] * move
-        draw_dots(axes, panel.r, R, error, shown)
+        draw_dots(axes, panel.r, R, error)
     of_switches = f", σa / σs′ = {panel.ratio}" if page.lines is SWITCH_LINES else ""
     axes.set_title(f"η = {panel.eta}{of_switches}")
     for row, (text, colour) in enumerate(labels):  # from the corner that the curves leave free
-        place = (0.97, 0.93 - 0.055 * row) if form == "gamma" else (0.03, 0.05 + 0.055 * row)
-        side = "right" if form == "gamma" else "left"
-        axes.text(*place, text, color=colour, ha=side, size=7, transform=axes.transAxes)
+        axes.text(0.03, 0.05 + 0.055 * row, text, color=colour, size=7, transform=axes.transAxes)
 
 
-def draw(path: Path, page: Page, form: str) -> None:
-    what = "R to the power 1/2.2" if form == "gamma" else "R per squared mean free path"
+def draw(path: Path, page: Page) -> None:
     figure, grid = plt.subplots(PAGE_ROWS, PAGE_COLUMNS, figsize=(17, 12.5), layout="constrained")
-    figure.suptitle(f"{page.title}: {what}")
+    figure.suptitle(f"{page.title}: R per squared mean free path")
     figure.supxlabel("r (mean free paths)")
     for cell, axes in enumerate(grid.flat):
         if cell in page.cells:
-            draw_panel(axes, page, page.cells[cell], form)
+            draw_panel(axes, page, page.cells[cell])
         else:
             axes.axis("off")
     handles = grid.flat[min(page.cells)].get_legend_handles_labels()
@@ -460,38 +421,6 @@ def draw_layers(path: Path, skin: dict[str, np.ndarray], slab: dict[str, np.ndar
     save(figure, path)
 
 
-# ---- the index -----------------------------------------------------------------------------------
-
-
-def section(name: str, title: str, drawn: str, links: dict[str, str]) -> str:
-    more = ", ".join(f'<a href="{target}">{text}</a>' for text, target in links.items())
-    return (
-        f'<section id="{name}">\n<h2>{title}</h2>\n<a href="{drawn}"><img src="{drawn}" '
-        f'loading="lazy" style="max-width: 100%" alt="R over the radius: {title}, by models, '
-        f'transport and Monte Carlo"></a>\n<p>{more}</p>\n</section>\n'
-    )
-
-
-def write_index(path: Path, pages: Sequence[Page], tissue: bool) -> None:
-    body = ""
-    for page in pages:
-        name = f"figure_{page.figure:02}"
-        links = {"as it looks on a screen": f"{name}_gamma.svg", "values": f"{name}.csv"}
-        links["albedos"] = f"{name}_albedos.csv"
-        body += section(name, page.title, f"{name}_log.svg", links)
-    if tissue:
-        body += section("tissue", "Tissue, which scatters forward", "tissue.svg", {"values": "tissue.csv"})
-        links = {"skin": "layers.csv", "slab": "slab.csv"}
-        body += section("layers", "Skin of two layers, and a slab", "layers.svg", links)
-    path.write_text(
-        '<!DOCTYPE html>\n<html lang="en">\n<meta charset="utf-8">\n'
-        "<title>A Better Dipole: figures</title>\n"
-        "<h1>Figures of d'Eon 2012, with Monte Carlo and transport</h1>\n"
-        '<p>A page has a panel for each eta. <a href="summary.csv">Which model is nearer</a>.</p>\n'
-        f"{body}</html>\n"
-    )
-
-
 # ---- all of it -----------------------------------------------------------------------------------
 
 
@@ -553,26 +482,20 @@ def main() -> None:
             for name, table in (("layers", skin), ("slab", slab)):
                 write_csv(options.output / f"{name}.csv", list(table), zip(*table.values()))
             draw_layers(options.output / "layers.svg", skin, slab)
-    drawn = [page for page in pages_of(panels) if page.cells]
-    for page in drawn:
+    for page in (page for page in pages_of(panels) if page.cells):
         name, shown = f"figure_{page.figure:02}", list(page.cells.values())
-        for form in ("log", "gamma"):
-            draw(options.output / f"{name}_{form}.svg", page, form)
+        draw(options.output / f"{name}.svg", page)
         names = ["figure", "ratio", "eta", "r", "ring_from", "ring_to", *COLUMNS]
         write_csv(options.output / f"{name}.csv", names, figure_rows(page.figure, shown))
         names = "figure ratio eta curve albedo error relative_to_transport".split()
         rows = albedo_rows(page.figure, shown)
         write_csv(options.output / f"{name}_albedos.csv", names, rows)
-    write_index(options.output / "index.html", drawn, options.tissue_photons > 0)
     wanted = [panels[ratio, eta] for ratio in options.ratios for eta in options.etas]
     names = (
         "model against ratio_from ratio_to eta_from eta_to r_from r_to panels nearer share "
         "model_median against_median model_worst against_worst"
     ).split()
     write_csv(options.output / "summary.csv", names, summary_rows(wanted))
-    names = "ratio eta rings chi2 worst_sigmas albedo_sigmas".split()
-    checks = check_rows(wanted, options.photons)
-    write_csv(options.output / "monte_carlo_check.csv", names, checks)
 
 
 if __name__ == "__main__":

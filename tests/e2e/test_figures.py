@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import csv
 import os
-import re
 import subprocess
 import sys
 from pathlib import Path
@@ -59,9 +58,9 @@ def drawn(tmp_path_factory) -> Path:
 
 
 def test_pages(drawn):
-    """Only figures that have wanted panels, each in two forms."""
+    """Only figures that have wanted panels."""
     sizes = {"07": (3, 5), "13": (3, 5), "17": (6, 6)}
-    names = {f"figure_{n}_{form}.svg": n for n in sizes for form in ("log", "gamma")}
+    names = {f"figure_{n}.svg": n for n in sizes}
     assert {path.name for path in drawn.glob("*.svg")} == {*names, "tissue.svg", "layers.svg"}
     assert not list(drawn.rglob("*.part"))
     for name, figure in names.items():
@@ -71,15 +70,6 @@ def test_pages(drawn):
         for start in ("η = ", "Monte Carlo 0.", "transport 0."):
             assert sum(text.startswith(start) for text in texts) == panels
         assert (drawn / name).read_text().count('<g id="curve ') == panels * curves
-
-
-def test_index(drawn):
-    page = (drawn / "index.html").read_text()
-    targets = re.findall(r'(?:href|src)="(.*?)"', page)
-    assert all(target.startswith("#") or (drawn / target).is_file() for target in targets)
-    assert {path.name for path in drawn.glob("*.svg")} <= set(targets)
-    described = re.findall(r'<img [^>]*alt="(.*?)"', page, re.S)
-    assert len(described) == 5 and all(len(text) > 50 for text in described)
 
 
 def test_tables(drawn):
@@ -117,7 +107,6 @@ def test_second_run_walks_what_is_missing(drawn):
     # Another number of photons is another walk.
     draw(drawn, "--ratios", "1", "--etas", "1.0", "--photons", "8000")
     assert set(parts(drawn)) - set(after) == {"walk_eta_1.0_photons_8000_ratios_1"}
-    assert rows_of(drawn / "monte_carlo_check.csv") == []  # So few give no standard errors.
 
 
 def test_wrong_options(tmp_path):
