@@ -361,7 +361,7 @@ def draw_tissue(path: Path, columns: dict[str, np.ndarray]) -> None:
         for name, (_, _, title, colour, dash) in zip(list(columns)[5:], TISSUE_LINES):
             axes.plot(columns["r"], columns[name] / over, dash, color=colour, label=title)
         walked = [columns[name] / over for name in ("monte_carlo", "monte_carlo_error")]
-        draw_dots(axes, columns["r"], *walked, np.asarray)
+        draw_dots(axes, columns["r"], *walked)
         axes.set(xscale="log", yscale="log", xlim=(TISSUE_EDGES.start_mm, TISSUE_EDGES.stop_mm))
     both[0].set(ylim=(1e-7, 1e2), ylabel="R (1/mm² per power that entered)")
     both[1].set(ylim=(0.1, 5), ylabel="over transport", xlabel="r (mm)")
@@ -410,7 +410,7 @@ def draw_layers(path: Path, skin: dict[str, np.ndarray], slab: dict[str, np.ndar
     for model, colour in zip(list(slab)[5::3], SKIN_COLOURS):
         both[1].plot(slab["r"], slab[model], color=colour, label=model)
     walked = [np.concatenate([slab[f"{name}{of}"] for name in "RT"]) for of in ("", "_error")]
-    draw_dots(both[1], np.tile(slab["r"], 2), *walked, np.asarray)
+    draw_dots(both[1], np.tile(slab["r"], 2), *walked)
     a, s, g, eta, thickness = SLAB
     both[0].set(title=SKIN, ylabel="R (1/mm² per power that entered)")
     both[1].set(title=f"slab of {thickness:g} mm: σa {a:g}/mm, σs {s:g}/mm, g {g:g}, η {eta:g}")
