@@ -1,5 +1,28 @@
 #include "core/fit/layers.h"
 
+#ifdef CORE_WITHOUT_CMINPACK
+
+static const core_fault without_cminpack = {"unknowns",
+                                            "none: this build has no cminpack to fit with", 0};
+
+core_fault core_layers_fit_check(const core_layers_fit_request *request) {
+  (void)request;
+  return without_cminpack;
+}
+
+core_fault core_layers_fit_run(core_layers_fit *fit, const core_isa *isa,
+                               const core_layers_fit_request *request, double *residuals,
+                               const atomic_bool *stop) {
+  (void)fit;
+  (void)isa;
+  (void)request;
+  (void)residuals;
+  (void)stop;
+  return without_cminpack;
+}
+
+#else
+
 #include <cminpack.h>
 #include <math.h>
 #include <stdlib.h>
@@ -25,16 +48,12 @@ enum { FIRST_LEVEL = 0, LAST_LEVEL = 1, EVALUATIONS_MAX = 24 };
 /* A second minimum differs by so many standard errors. */
 #define APART 5.0
 #define AT_BOUND 1e-3
-/* What solves the best medium in the end, where its error is computed. */
-#define TOLERANCE 1e-2
+/* Tolerances that the best medium is solved with in the end, until its errors are small enough. */
+static const double tolerances[] = {1e-2, 1e-3};
 
-/* Bounds of the search: products with the largest or the least distance. */
-#define SIGMA_A_LEAST 1e-5
-#define SIGMA_A_MOST 50.0
-#define SIGMA_S_LEAST 1e-2
-#define SIGMA_S_MOST 1e3
-#define THICKNESS_LEAST 1e-2
-#define THICKNESS_MOST 10.0
+/* Bounds of sigma_a, sigma_s and thicknesses: over the largest and the least distance, or times the
+ * least and the largest one. */
+static const double range[OF_LAYER][2] = {{1e-5, 50}, {1e-2, 1e3}, {1e-2, 10}};
 
 /* The state of a search. Its unknowns are logarithms, that of a free factor is the last. */
 struct search {
@@ -58,17 +77,8 @@ static double *member_of(core_medium *layer, unsigned position) {
                                     : &at->thickness_mm;
 }
 
-/* Returns the number of unknowns, and of these of layers in *layered. */
-static size_t count_unknowns(const core_layers_fit_request *request, size_t *layered) {
-  *layered = 0;
-  for (unsigned i = 0; i < CORE_UNKNOWNS; i++) {
-    *layered += request->unknowns >> i & 1;
-  }
-  return *layered + (request->scale == CORE_FIT_SCALE_FREE);
-}
-
-/* Checks the layers, where unknowns have values that make none of them weak: the largest sigma_s that
- * is known, no absorption, one free path. */
+/* Checks the layers, where unknowns have values that make none of them weak: the largest sigma_s
+ * that is known, no absorption, one free path. */
 static core_fault check_layers(const core_layers_fit_request *request) {
   core_medium layer[CORE_LAYERS_MAX];
   core_parameters parameters = core_parameters_none();
@@ -95,12 +105,12 @@ static core_fault check_layers(const core_layers_fit_request *request) {
 }
 
 core_fault core_layers_fit_check(const core_layers_fit_request *request) {
-  size_t layered;
-  const size_t count = count_unknowns(request, &layered);
-  if (request->scale != CORE_FIT_SCALE_ABSOLUTE && request->scale != CORE_FIT_SCALE_FREE) {
+  const bool free_factor = request->scale == CORE_FIT_SCALE_FREE;
+  const size_t count = (size_t)__builtin_popcount(request->unknowns) + free_factor;
+  if (!free_factor && request->scale != CORE_FIT_SCALE_ABSOLUTE) {
     return (core_fault){"scale", "absolute or free", 0};
   }
-  if (layered == 0 || request->unknowns >> OF_LAYER * request->layer_count != 0 ||
+  if (request->unknowns == 0 || request->unknowns >> OF_LAYER * request->layer_count != 0 ||
       request->unknowns >> CORE_UNKNOWNS != 0) {
     return (core_fault){"unknowns", "at least one, of the layers that are given", 0};
   }
@@ -108,14 +118,14 @@ core_fault core_layers_fit_check(const core_layers_fit_request *request) {
     return (core_fault){"reading_count", "as many as there are unknowns, to 1024", 0};
   }
   for (size_t i = 0; i < request->count; i++) {
-    if (!(request->at[i] > 0 && isfinite(request->at[i]))) {
-      return (core_fault){"at", "above 0, and finite", i};
-    }
-    if (!isfinite(request->values[i])) {
-      return (core_fault){"values", "finite", i};
-    }
-    if (!(request->errors[i] > 0 && isfinite(request->errors[i]))) {
-      return (core_fault){"errors", "above 0, and finite", i};
+    const core_fault fault = !(request->at[i] > 0 && isfinite(request->at[i]))
+                                 ? (core_fault){"at", "above 0, finite", i}
+                             : !isfinite(request->values[i]) ? (core_fault){"values", "finite", i}
+                             : request->errors[i] > 0 && isfinite(request->errors[i])
+                                 ? (core_fault){0}
+                                 : (core_fault){"errors", "above 0, finite", i};
+    if (fault.field != NULL) {
+      return fault;
     }
   }
   return check_layers(request);
@@ -127,33 +137,38 @@ static double kept(const struct search *of, int k, double x) {
   return fmin(fmax(x, of->least[k]), of->most[k]);
 }
 
-static void put_layers(const struct search *of, const double *x, solver_layer *to) {
-  core_medium layer[CORE_LAYERS_MAX];
-  memcpy(layer, of->of->layer, of->of->layer_count * sizeof *layer);
-  for (int k = 0; k < of->layered; k++) {
-    *member_of(layer, of->position[k]) = real_exp_signed(kept(of, k, x[k]));
-  }
-  for (size_t i = 0; i < of->of->layer_count; i++) {
-    const double thickness = layer[i].thickness_mm;
-    to[i] = (solver_layer){layer[i].sigma_a_per_mm, layer[i].sigma_s_per_mm, layer[i].g,
-                           layer[i].eta, thickness > 0 ? thickness : (double)INFINITY};
-  }
-}
-
 static double factor_at(const struct search *of, const double *x) {
   return of->count > of->layered ? real_exp_signed(kept(of, of->layered, x[of->layered])) : 1;
 }
 
-/* Sets R[count], without the factor. Returns false on a fault. */
-static bool solve_readings(struct search *of, const double *x, size_t level, double *R) {
+/* Sets R[count], without the factor, on the grid of this level; with errors[count], which it sets
+ * too, to the tolerance of this number. Returns false on a fault. */
+static bool solve_readings(struct search *of, const double *x, size_t level, double *R,
+                           double *errors) {
+  const core_layers_fit_request *request = of->of;
+  core_medium medium[CORE_LAYERS_MAX];
   solver_layer layer[CORE_LAYERS_MAX];
   solver_layers *solution;
-  put_layers(of, x, layer);
-  of->fault =
-      solver_layers_solve_level(&solution, of->isa, layer, of->of->layer_count, 1, level, of->stop);
+  memcpy(medium, request->layer, request->layer_count * sizeof *medium);
+  for (int k = 0; k < of->layered; k++) {
+    *member_of(medium, of->position[k]) = real_exp_signed(kept(of, k, x[k]));
+  }
+  for (size_t i = 0; i < request->layer_count; i++) {
+    const core_medium *one = &medium[i];
+    layer[i] = (solver_layer){one->sigma_a_per_mm, one->sigma_s_per_mm, one->g, one->eta,
+                              one->thickness_mm > 0 ? one->thickness_mm : (double)INFINITY};
+  }
+  of->fault = errors == NULL ? solver_layers_solve_level(&solution, of->isa, layer,
+                                                         request->layer_count, 1, level, of->stop)
+                             : solver_layers_solve(&solution, of->isa, layer, request->layer_count,
+                                                   1, tolerances[level], of->stop);
   of->evaluations++;
-  for (size_t i = 0; i < of->of->count && of->fault.field == NULL; i++) {
-    R[i] = solver_layers_at(solution, 0, of->of->at[i]).value;
+  for (size_t i = 0; i < request->count && of->fault.field == NULL; i++) {
+    const transport_number at = solver_layers_at(solution, 0, request->at[i]);
+    R[i] = at.value;
+    if (errors != NULL) {
+      errors[i] = at.error;
+    }
   }
   solver_layers_free(solution);
   return of->fault.field == NULL;
@@ -169,7 +184,7 @@ static void differentiate(struct search *of, const double *x, int k, const doubl
   for (int i = 0; i < 2 && !ok && x[k] > of->least[k] && x[k] < of->most[k]; i++) {
     step = i == 0 ? STEP : -STEP;
     moved[k] = x[k] + step;
-    ok = solve_readings(of, moved, FIRST_LEVEL, other);
+    ok = solve_readings(of, moved, FIRST_LEVEL, other, NULL);
   }
   for (size_t i = 0; i < of->of->count; i++) {
     const double by = k == of->layered ? R[i] : (other[i] - R[i]) / step;
@@ -177,15 +192,15 @@ static void differentiate(struct search *of, const double *x, int k, const doubl
   }
 }
 
-/* The function that lmder() calls: for task 1 it sets the residuals f, for task 2 their derivatives J,
- * stored by columns. The last n of them are (x - start) / START_ERROR. A medium that the solver does
- * not take is far off. */
+/* The function that lmder() calls: for task 1 it sets the residuals f, for task 2 their derivatives
+ * J, stored by columns. The last n of them are (x - start) / START_ERROR. A medium that the solver
+ * does not take is far off. */
 static int residuals_of(void *context, int m, int n, const double *x, double *f, double *J,
                         int rows, int task) {
   struct search *of = context;
   const size_t count = of->of->count;
   double R[CORE_FIT_READINGS_MAX];
-  const bool known = solve_readings(of, x, task == 1 ? of->level : FIRST_LEVEL, R);
+  const bool known = solve_readings(of, x, task == 1 ? of->level : FIRST_LEVEL, R, NULL);
   (void)m;
   if (solver_stops(of->stop)) {
     return -1;
@@ -217,14 +232,6 @@ struct minimum {
   bool settled;
 };
 
-static double sum_of_squares(const double *f, size_t count) {
-  double sum = 0;
-  for (size_t i = 0; i < count; i++) {
-    sum += f[i] * f[i];
-  }
-  return sum;
-}
-
 /* Returns the value rounded to 24 bits: what lmder() rounds otherwise on another machine. */
 static double rounded(double value) {
   const double huge = value * 0x1p29;
@@ -247,63 +254,50 @@ static void minimize(struct search *of, size_t level, double *J, struct minimum 
     to->x[k] = rounded(kept(of, k, to->x[k]));
     to->sd[k] = rounded(sqrt(J[(size_t)k * (size_t)rows + (size_t)k]));
   }
-  to->chi_squared = sum_of_squares(f, of->of->count);
+  to->chi_squared = 0;
+  for (size_t i = 0; i < of->of->count; i++) {
+    to->chi_squared += f[i] * f[i];
+  }
   to->settled = info >= 1 && info <= 4;
 }
 
 /* ---- starts ---------------------------------------------------------------------------------- */
 
-static int by_distance(const void *a, const void *b) {
-  const double one = *(const double *)a, other = *(const double *)b;
-  return one < other ? -1 : one > other;
-}
-
-/* Sets sigma_a and sigma_s of the half space that fits the nearer or the farther half of the readings
- * best, or what is usual for their distances. */
-static void fit_half_space(const struct search *of, const core_medium *like, bool far,
-                           core_medium *to) {
+/* Sets sigma_a and sigma_s of the half space that fits the readings up to or from the middle best,
+ * all of them if those are too few, or what is usual for their distances. */
+static void fit_half_space(const struct search *of, const core_medium *like, double middle_mm,
+                           bool far, core_medium *to) {
   const core_layers_fit_request *request = of->of;
-  const size_t least = request->scale == CORE_FIT_SCALE_FREE ? 3 : 2;
-  const size_t half = request->count / 2 > least ? request->count / 2 : least;
-  const size_t count = half < request->count ? half : request->count;
-  double row[CORE_FIT_READINGS_MAX][3], column[3][CORE_FIT_READINGS_MAX];
-  for (size_t i = 0; i < request->count; i++) {
-    memcpy(row[i], ((double[]){request->at[i], request->values[i], request->errors[i]}),
-           sizeof row[i]);
-  }
-  qsort(row, request->count, sizeof *row, by_distance);
-  for (size_t i = 0; i < count; i++) {
-    for (int k = 0; k < 3; k++) {
-      column[k][i] = row[far ? request->count - count + i : i][k];
+  double at[CORE_FIT_READINGS_MAX], values[CORE_FIT_READINGS_MAX], errors[CORE_FIT_READINGS_MAX];
+  size_t count = 0;
+  for (int all = 0; all < 2 && count < 3; all++) {
+    count = 0;
+    for (size_t i = 0; i < request->count; i++) {
+      if (all == 1 || (far ? request->at[i] >= middle_mm : request->at[i] <= middle_mm)) {
+        at[count] = request->at[i];
+        values[count] = request->values[i];
+        errors[count++] = request->errors[i];
+      }
     }
   }
-  const double middle = column[0][count / 2];
   const core_fit_design design = {.model = CORE_MODEL_TRANSPORT,
                                   .moments = CORE_MOMENTS_EXACT,
                                   .g = like->g,
                                   .eta = like->eta,
                                   .axis = CORE_FIT_AXIS_RADIUS,
                                   .count = count,
-                                  .at = column[0],
+                                  .at = at,
                                   .scale = request->scale};
   core_fit *fit = NULL;
   core_fit_result result = {.status = CORE_FIT_STATUS_REFUSED};
   if (core_transport_stored_check(like->g, like->eta).field == NULL &&
       core_fit_create(&fit, of->isa, &design).field == NULL) {
-    core_fit_run(fit, column[1], column[2], &result, NULL);
+    core_fit_run(fit, values, errors, &result, NULL);
   }
   core_fit_free(fit);
   const bool found = result.best.sigma_s_prime_per_mm > 0;
-  to->sigma_a_per_mm = found ? result.best.sigma_a_per_mm : 0.1 / middle;
-  to->sigma_s_per_mm = (found ? result.best.sigma_s_prime_per_mm : 10 / middle) / (1 - like->g);
-}
-
-/* Returns whether candidate number i differs from those before it in an unknown. */
-static bool is_new(unsigned unknowns, int i) {
-  const unsigned thickness = CORE_UNKNOWN_THICKNESS_1 | CORE_UNKNOWN_THICKNESS_2;
-  return (i % 3 == 0 || (unknowns & thickness) != 0) &&
-         (i / 3 % 2 == 0 || (unknowns & CORE_UNKNOWN_SIGMA_A_1) != 0) &&
-         (i / 6 == 0 || (unknowns & CORE_UNKNOWN_SIGMA_A_2) != 0);
+  to->sigma_a_per_mm = found ? result.best.sigma_a_per_mm : 0.1 / middle_mm;
+  to->sigma_s_per_mm = (found ? result.best.sigma_s_prime_per_mm : 10 / middle_mm) / (1 - like->g);
 }
 
 /* Sets x of candidate number i. */
@@ -320,8 +314,8 @@ static void place_candidate(const struct search *of, const core_medium guess[2],
   }
 }
 
-/* Sets the bounds, and the starts to the best of the candidates, the best one first. Returns how many there are. */
-static int find_starts(struct search *of, struct minimum start[STARTS]) {
+/* Sets the bounds, and the candidates, the best one first. Returns how many of them are starts. */
+static int find_starts(struct search *of, struct minimum start[CANDIDATES]) {
   const core_layers_fit_request *request = of->of;
   core_medium guess[2] = {{0}};
   double least_mm = (double)INFINITY, most_mm = 0;
@@ -329,23 +323,28 @@ static int find_starts(struct search *of, struct minimum start[STARTS]) {
     least_mm = fmin(least_mm, request->at[i]);
     most_mm = fmax(most_mm, request->at[i]);
   }
-  const double range[OF_LAYER][2] = {{SIGMA_A_LEAST / most_mm, SIGMA_A_MOST / least_mm},
-                                     {SIGMA_S_LEAST / most_mm, SIGMA_S_MOST / least_mm},
-                                     {THICKNESS_LEAST * least_mm, THICKNESS_MOST * most_mm}};
+  const double middle_mm = sqrt(least_mm * most_mm);
   for (int k = 0; k < of->count; k++) {
     const double *one = range[k < of->layered ? of->position[k] % OF_LAYER : 0];
-    of->least[k] = k < of->layered ? real_log(one[0], 0) : -600;
-    of->most[k] = k < of->layered ? real_log(one[1], 0) : 600;
+    const bool length = one == range[OF_LAYER - 1];
+    const double least = length ? one[0] * least_mm : one[0] / most_mm;
+    const double most = length ? one[1] * most_mm : one[1] / least_mm;
+    of->least[k] = k < of->layered ? real_log(least, 0) : -600;
+    of->most[k] = k < of->layered ? real_log(most, 0) : 600;
   }
   for (size_t i = 0; i < 2 && i < request->layer_count; i++) {
-    fit_half_space(of, &request->layer[i], i > 0, &guess[i]);
+    fit_half_space(of, &request->layer[i], middle_mm, i > 0, &guess[i]);
   }
   int found = 0;
   for (int i = 0; i < CANDIDATES && !solver_stops(of->stop); i++) {
     struct minimum one = {.chi_squared = 0};
-    double R[CORE_FIT_READINGS_MAX], f[CORE_FIT_READINGS_MAX], along = 0, size = 0;
-    place_candidate(of, guess, sqrt(least_mm * most_mm), i, one.x);
-    if (!is_new(request->unknowns, i) || !solve_readings(of, one.x, FIRST_LEVEL, R)) {
+    double R[CORE_FIT_READINGS_MAX], along = 0, size = 0;
+    place_candidate(of, guess, middle_mm, i, one.x);
+    bool known = false;
+    for (int k = 0; k < found; k++) {
+      known |= memcmp(start[k].x, one.x, (size_t)of->layered * sizeof *one.x) == 0;
+    }
+    if (known || !solve_readings(of, one.x, FIRST_LEVEL, R, NULL)) {
       continue;
     }
     for (size_t k = 0; k < request->count; k++) {
@@ -356,20 +355,16 @@ static int find_starts(struct search *of, struct minimum start[STARTS]) {
     const bool free_factor = of->count > of->layered && along > 0 && size > 0;
     one.x[of->layered] = free_factor ? real_log(along / size, 0) : 0;
     for (size_t k = 0; k < request->count; k++) {
-      f[k] = (request->values[k] - factor_at(of, one.x) * R[k]) / request->errors[k];
+      const double off = request->values[k] - factor_at(of, one.x) * R[k];
+      one.chi_squared += off * off / (request->errors[k] * request->errors[k]);
     }
-    one.chi_squared = sum_of_squares(f, request->count);
-    int at = found < STARTS ? found++ : STARTS;
+    int at = found++;
     for (; at > 0 && one.chi_squared < start[at - 1].chi_squared; at--) {
-      if (at < STARTS) {
-        start[at] = start[at - 1];
-      }
+      start[at] = start[at - 1];
     }
-    if (at < STARTS) {
-      start[at] = one;
-    }
+    start[at] = one;
   }
-  return found;
+  return found < STARTS ? found : STARTS;
 }
 
 /* ---- results --------------------------------------------------------------------------------- */
@@ -393,58 +388,69 @@ static bool is_second(const struct search *of, const struct minimum *best,
   return apart && other->chi_squared < best->chi_squared + CORE_FIT_AMBIGUOUS;
 }
 
-/* Sets what the best medium of the search says, and its residuals by the final solution. */
+/* Sets residuals and errors by a finer solution of the best medium. Returns the square of a bound
+ * of how many standard errors the search's numerical errors shift an estimate by: it is a sum of
+ * residuals times weights, and its variance is the sum of the squared weights. */
+static double solve_finer(struct search *of, const struct minimum *best, core_layers_fit *fit,
+                          double *residuals) {
+  const core_layers_fit_request *request = of->of;
+  double searched[CORE_FIT_READINGS_MAX], R[CORE_FIT_READINGS_MAX], errors[CORE_FIT_READINGS_MAX];
+  double shift = (double)INFINITY;
+  bool ok = solve_readings(of, best->x, LAST_LEVEL, searched, NULL);
+  for (size_t k = 0; k < sizeof tolerances / sizeof *tolerances && ok && !(shift <= 1); k++) {
+    ok = solve_readings(of, best->x, k, R, errors);
+    shift = fit->numerical_error = fit->chi_squared = 0;
+    for (size_t i = 0; i < request->count && ok; i++) {
+      const double weight = fit->factor / request->errors[i];
+      const double off = weight * (errors[i] + fabs(R[i] - searched[i]));
+      residuals[i] = (request->values[i] - fit->factor * R[i]) / request->errors[i];
+      shift += off * off;
+      fit->chi_squared += residuals[i] * residuals[i];
+      fit->numerical_error = fmax(fit->numerical_error, errors[i] / fmax(R[i], 1e-300));
+    }
+  }
+  return shift;
+}
+
+/* Sets what the best medium of the search says, and its residuals. */
 static core_fault put_result(struct search *of, const struct minimum *best, bool second,
                              core_layers_fit *fit, double *residuals) {
-  const core_layers_fit_request *request = of->of;
-  const double factor = factor_at(of, best->x), none = (double)NAN;
-  const size_t spare = request->count - (size_t)of->count;
-  solver_layer layer[CORE_LAYERS_MAX];
-  solver_layers *solution;
-  put_layers(of, best->x, layer);
-  const core_fault fault =
-      solver_layers_solve(&solution, of->isa, layer, request->layer_count, 1, TOLERANCE, of->stop);
-  *fit = (core_layers_fit){.status = CORE_FIT_STATUS_FITTED,
-                           .unknown_count = (size_t)of->layered,
-                           .factor = factor,
+  const size_t spare = of->of->count - (size_t)of->count;
+  const double none = (double)NAN;
+  *fit = (core_layers_fit){.unknown_count = (size_t)of->layered,
+                           .factor = factor_at(of, best->x),
                            .evaluations = of->evaluations};
-  for (size_t i = 0; i < request->count && fault.field == NULL; i++) {
-    const transport_number R = solver_layers_at(solution, 0, request->at[i]);
-    residuals[i] = (request->values[i] - factor * R.value) / request->errors[i];
-    fit->numerical_error = fmax(fit->numerical_error, R.error / fmax(R.value, 1e-300));
+  const bool precise = solve_finer(of, best, fit, residuals) <= 1;
+  if (of->fault.field != NULL) {
+    return of->fault;
   }
-  solver_layers_free(solution);
-  fit->chi_squared = sum_of_squares(residuals, request->count);
   fit->reduced_chi_squared = spare > 0 ? fit->chi_squared / (double)spare : none;
-  fit->factor_error = of->count > of->layered ? factor * best->sd[of->layered] : 0;
   bool bound = false, vague = false;
-  for (int k = 0; k < of->layered; k++) {
+  for (int k = 0; k < of->count; k++) {
     const enum core_fit_status status = status_of(of, best, k);
-    const double value = real_exp_signed(best->x[k]);
-    const bool fitted = status == CORE_FIT_STATUS_FITTED;
-    fit->unknown[k] = (core_estimate){
-        .unknown = (enum core_unknown)(1U << of->position[k]),
-        .status = status,
-        .value = status == CORE_FIT_STATUS_UNDETERMINED ? none : value,
-        .error = fitted ? value * best->sd[k] : (double)INFINITY,
-    };
+    const bool unknown = status == CORE_FIT_STATUS_UNDETERMINED;
+    const double value = unknown ? none : real_exp_signed(best->x[k]);
+    const double error = status == CORE_FIT_STATUS_FITTED ? value * best->sd[k] : (double)INFINITY;
     bound |= status == CORE_FIT_STATUS_AT_BOUND;
-    vague |= status == CORE_FIT_STATUS_UNDETERMINED;
+    vague |= unknown;
+    if (k == of->layered) {
+      fit->factor = value;
+      fit->factor_error = error;
+    } else {
+      fit->unknown[k] =
+          (core_estimate){(enum core_unknown)(1U << of->position[k]), status, value, error};
+    }
   }
-  fit->status = fit->chi_squared > fit_chi_squared_most(spare) ? CORE_FIT_STATUS_IMPLAUSIBLE
-                : bound                                        ? CORE_FIT_STATUS_AT_BOUND
-                : vague                                        ? CORE_FIT_STATUS_UNDETERMINED
-                : !best->settled                               ? CORE_FIT_STATUS_UNFINISHED
-                : second                                       ? CORE_FIT_STATUS_AMBIGUOUS
-                                                               : CORE_FIT_STATUS_FITTED;
-  return fault;
+  fit->status = fit_status(bound, fit->chi_squared > fit_chi_squared_most(spare), vague,
+                           best->settled && precise, second);
+  return of->fault;
 }
 
 core_fault core_layers_fit_run(core_layers_fit *fit, const core_isa *isa,
                                const core_layers_fit_request *request, double *residuals,
                                const atomic_bool *stop) {
   struct search search = {.of = request, .isa = isa, .stop = stop};
-  struct minimum found[STARTS];
+  struct minimum found[CANDIDATES];
   for (unsigned i = 0; i < CORE_UNKNOWNS; i++) {
     if ((request->unknowns >> i & 1) != 0) {
       search.position[search.layered++] = i;
@@ -473,3 +479,5 @@ core_fault core_layers_fit_run(core_layers_fit *fit, const core_isa *isa,
          : starts == 0      ? search.fault
                             : put_result(&search, &found[at], second, fit, residuals);
 }
+
+#endif

@@ -1,11 +1,14 @@
-/* layers: finds coefficients and thicknesses of the two upper layers of a stack from readings of R under
- * transport. The rest of the stack is known.
+/* layers: finds coefficients and thicknesses of the two upper layers of a stack from readings of R
+ * under transport. The rest of the stack is known.
  *
  * Method: chi-squared is minimized in the logarithms of the unknowns by Levenberg's and Marquardt's
- * method (More 1978), from the best of some media: half spaces that were fitted to the near and to the
- * far readings stand for the layers. R comes from the solver's coarsest grid, then from the next one
- * (solver_layers_solve_level()); derivatives are differences of solutions. It takes some 5 to 30 s of a
- * processor. The same request gives the same bits on every machine. */
+ * method (More 1978), from the best of some media: half spaces that were fitted to the near and to
+ * the far readings stand for the layers. R comes from the solver's coarsest grid, then from the
+ * next one (solver_layers_solve_level()); derivatives are differences of solutions. Each search
+ * takes its start for an estimate whose logarithms have the standard error 3, which pulls an
+ * unknown of the standard error s by s^2/9 of the way; the last search starts where the first ones
+ * ended. It takes some 5 to 40 s of a processor. The same request gives the same bits on every
+ * machine. A build without cminpack (make CMINPACK=no) refuses all requests. */
 #ifndef DIPOLED_CORE_FIT_LAYERS_H
 #define DIPOLED_CORE_FIT_LAYERS_H
 
@@ -35,19 +38,21 @@ typedef struct core_estimate {
 } core_estimate;
 
 typedef struct core_layers_fit {
-  enum core_fit_status status; /* as of a fit; FITTED only if all unknowns are */
+  /* As of a fit; FITTED only if all unknowns are. UNFINISHED, too, if numerical errors of R may
+   * shift an unknown by more than its standard error. */
+  enum core_fit_status status;
   size_t unknown_count;
   core_estimate unknown[CORE_UNKNOWNS]; /* in the order of their bits */
-  double factor;                        /* of all readings; 1 unless the scale is FREE */
-  double factor_error;                  /* its standard error; 0 unless the scale is FREE */
+  double factor;       /* of all readings, as an unknown; 1 unless the scale is FREE */
+  double factor_error; /* its standard error; 0 unless the scale is FREE */
   double chi_squared;
   double reduced_chi_squared; /* over readings less unknowns; NAN if they are as many */
-  double numerical_error;     /* largest of R at the readings, relative; in no other error */
+  double numerical_error;     /* largest of R at the readings, relative; in no standard error */
   unsigned evaluations;       /* of layers for all readings */
 } core_layers_fit;
 
 /* Returns the fault of a request. Fields: `scale`, `unknowns`, `reading_count`; `at`, `values` and
- * `errors` with the index of the reading; those of core_profile_check() with the index of the layer. */
+ * `errors` with the index of the reading; those of core_profile_check() with that of the layer. */
 core_fault core_layers_fit_check(const core_layers_fit_request *request);
 
 /* Fits a request without a fault. residuals: [count] set to (value - factor R) / error. Gives up

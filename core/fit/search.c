@@ -358,6 +358,16 @@ static unsigned bounds_of(const core_fit *fit, struct fit_place place) {
          (place.ln_scattering >= fit->most.ln_scattering ? CORE_FIT_SCATTERING_MOST : 0u);
 }
 
+enum core_fit_status fit_status(bool bound, bool implausible, bool vague, bool settled,
+                                bool second) {
+  return bound                    ? CORE_FIT_STATUS_AT_BOUND
+         : settled && implausible ? CORE_FIT_STATUS_IMPLAUSIBLE
+         : vague                  ? CORE_FIT_STATUS_UNDETERMINED
+         : !settled               ? CORE_FIT_STATUS_UNFINISHED
+         : second                 ? CORE_FIT_STATUS_AMBIGUOUS
+                                  : CORE_FIT_STATUS_FITTED;
+}
+
 static enum core_fit_status status_of(const core_fit *fit, const core_fit_result *result,
                                       bool settled) {
   const core_fit_solution *best = &result->best;
@@ -366,12 +376,8 @@ static enum core_fit_status status_of(const core_fit *fit, const core_fit_result
       !(best->factor > 0) || !(result->condition < CORE_FIT_CONDITION_MAX) ||
       !(result->covariance.a_a < limit * best->sigma_a_per_mm * best->sigma_a_per_mm) ||
       !(result->covariance.s_s < limit * best->sigma_s_prime_per_mm * best->sigma_s_prime_per_mm);
-  return result->bounds != 0                                    ? CORE_FIT_STATUS_AT_BOUND
-         : settled && best->chi_squared > fit->chi_squared_most ? CORE_FIT_STATUS_IMPLAUSIBLE
-         : vague                                                ? CORE_FIT_STATUS_UNDETERMINED
-         : !settled                                             ? CORE_FIT_STATUS_UNFINISHED
-         : result->second.chi_squared >= 0                      ? CORE_FIT_STATUS_AMBIGUOUS
-                                                                : CORE_FIT_STATUS_FITTED;
+  return fit_status(result->bounds != 0, best->chi_squared > fit->chi_squared_most, vague, settled,
+                    result->second.chi_squared >= 0);
 }
 
 /* Returns a lower bound of chi-squared over all media, for models that never rise with the

@@ -127,4 +127,8 @@ void fit_search_result(const core_fit_search *search, core_fit_result *result, d
 /* Returns the chi-squared above which a fit is implausible. spare: readings less unknowns. */
 double fit_chi_squared_most(size_t spare);
 
+/* Returns the status of a fit of which these are true. */
+enum core_fit_status fit_status(bool bound, bool implausible, bool vague, bool settled,
+                                bool second);
+
 #endif

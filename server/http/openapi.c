@@ -28,7 +28,8 @@ static void put_json(struct http_text *text, const char *form, ...) {
       http_text_add(text, name, strlen(name));
     } else {
       text->filled = false;
-      http_text_string(text, NULL, va_arg(arguments, const char *));
+      const char *string = va_arg(arguments, const char *);
+      http_text_string(text, NULL, string != NULL ? string : "");
     }
   }
   va_end(arguments);
