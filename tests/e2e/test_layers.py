@@ -83,7 +83,6 @@ def test_named_layers_are_a_medium_everywhere(daemon, tmp_path):
     assert values == [*named.R.reshape(-1)] * 2 == [float(row["R"]) for row in rows] * 2
     for wrong in (["--g", "0.9"], ["--medium", "skin-dark,skin1"]):
         assert lines("eval", "--medium", "skin-dark", *choice, *wrong, status=2) == []
-    assert "half spaces" in dipole("bake", "kernel", "--medium", "skin-dark", status=2).stderr
 
 
 def test_media_of_a_file(daemon, tmp_path):

@@ -80,8 +80,12 @@ def test_every_model_has_the_wires_bits(master, client, model):
         try:
             expected = client.eval(model, medium_for(model, medium), radii, evaluator="f32")
         except Refused as refusal:
-            with exception(BAD_VALUE):
-                run_job(master, unit, input_block(1, medium, radii, model=MODELS[model]))
+            block = input_block(1, medium, radii, model=MODELS[model])
+            if model == "transport-transmitted":  # only solving finds that T has no digit
+                assert run_job(master, unit, block).status == ERROR
+            else:
+                with exception(BAD_VALUE):
+                    run_job(master, unit, block)
             assert master.job(unit).error_address == register_of(refusal)
             continue
         job = run_job(master, unit, input_block(1, medium, radii, model=MODELS[model]))
