@@ -2,6 +2,7 @@
 
 #include <stdlib.h>
 #include <string.h>
+#include <sys/ioctl.h>
 #include <sys/socket.h>
 
 #include "server/net/tcp.h"
@@ -225,13 +226,19 @@ static size_t find_room(void *owner, uint8_t **room) {
 
 static void on_received(void *owner, ssize_t bytes) {
   struct modbus_connection *c = owner;
-  if (bytes > 0) {
+  if (bytes == 0) {
+    c->unread = 0;
+  } else if (bytes > 0) {
     c->end += (unsigned)bytes;
+    if (c->tls == NULL) {
+      c->unread -= (unsigned)bytes < c->unread ? (unsigned)bytes : c->unread;
+    }
     c->active_ms = now_ms(c);
     stats_add(stats_of(c), STATS_RECEIVED_BYTES, (uint64_t)bytes);
   } else {
     transport_set_reading(&c->transport, false);
-    c->peer_done |= bytes == UV_EOF;
+    c->stopping |= bytes == UV_EOF;
+    c->unread = bytes == UV_EOF ? 0 : c->unread;
   }
   worker_run_later(&c->client);
 }
@@ -240,7 +247,7 @@ static void on_received(void *owner, ssize_t bytes) {
 static void read_on_or_end(struct modbus_connection *c) {
   if (has_unsent(c)) {
     transport_set_reading(&c->transport, false);
-  } else if (c->ending || c->peer_done) {
+  } else if (c->ending || (c->stopping && c->unread == 0)) {
     linger(c);
   } else {
     note_partial_frame(c);
@@ -290,11 +297,21 @@ static void start_client(struct client *client) {
   transport_set_reading(&c->transport, true);
 }
 
-/* The socket then ends behind the bytes that have arrived by now, which are still served. */
+/* Bytes that have arrived by now are still read. */
 static void stop_client(struct client *client) {
-  const struct modbus_connection *c = connection_of(client);
-  if (!c->closing && !c->transport.lingering) {
-    shutdown(c->fd, SHUT_RD);
+  struct modbus_connection *c = connection_of(client);
+  int unread = 1; /* with TLS: until the transport tells that there is nothing */
+  if (c->closing) {
+    return;
+  }
+  if (!c->transport.lingering && !c->stopping &&
+      (c->tls != NULL || ioctl(c->fd, FIONREAD, &unread) == 0)) {
+    c->unread = (unsigned)unread;
+  }
+  c->stopping = true;
+  worker_run_later(client);
+  if (c->unread > 0) {
+    transport_tell_empty(&c->transport);
   }
 }
 

@@ -27,9 +27,10 @@ struct modbus_connection {
   struct transport transport;
 
   struct modbus_unit *waits_for; /* the unit that evaluates the first frame; NULL: there is none */
-  bool peer_done;                /* whether nothing more arrives */
-  bool ending;  /* whether to serve no more frames, and to close after the last reply */
-  bool closing; /* whether uv_close() has been called */
+  bool stopping;                 /* whether the peer has closed, or the daemon stops */
+  unsigned unread; /* bytes that had arrived when the daemon began to stop: they are still read */
+  bool ending;     /* whether to serve no more frames, and to close after the last reply */
+  bool closing;    /* whether uv_close() has been called */
 
   uint64_t active_ms;        /* when bytes were last received or sent */
   uint64_t frame_started_ms; /* when the incomplete frame began to arrive; 0: there is none */

@@ -101,6 +101,10 @@ static void read_more(struct transport *t) {
     if (got == 0 || got == UV_EAGAIN) {
       t->has_more = got == 0;
       t->blocked = t->tls != NULL && tls_session_is_blocked(t->tls);
+      if (!t->has_more && t->tells_empty) {
+        t->tells_empty = false;
+        tell_received(t, 0);
+      }
       return;
     }
     left -= got > 0 ? (size_t)got : 0;
@@ -192,6 +196,13 @@ uint64_t transport_write(struct transport *t, const uv_buf_t *buffers, unsigned 
   t->writing = sent == UV_EAGAIN && written == 0;
   const bool good = (sent >= 0 || sent == UV_EAGAIN) && set_events(t);
   return good || fail_transport(t) ? written : 0;
+}
+
+void transport_tell_empty(struct transport *t) {
+  t->has_more = t->tells_empty = t->tls != NULL;
+  if (t->tls != NULL && !set_events(t)) {
+    fail_transport(t);
+  }
 }
 
 void transport_linger(struct transport *t) {

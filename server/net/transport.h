@@ -40,8 +40,9 @@ struct transport {
   bool reading;
   bool lingering; /* see transport_linger() */
   bool has_more;  /* with TLS: whether OpenSSL may hold bytes for which there was no time or room */
-  bool blocked;   /* with TLS: whether reading waits until the socket can be written to */
-  int events;     /* for which the poll waits */
+  bool tells_empty; /* TLS only: see transport_tell_empty() */
+  bool blocked;     /* with TLS: whether reading waits until the socket can be written to */
+  int events;       /* for which the poll waits */
 };
 
 /* Takes over a connected stream socket, and the session, which may be NULL. The result may be an
@@ -56,6 +57,10 @@ void transport_set_reading(struct transport *transport, bool wanted);
  * socket takes nothing, transport->writing becomes true until sent() is called; the next write has the
  * same first bytes. */
 uint64_t transport_write(struct transport *transport, const uv_buf_t *buffers, unsigned count);
+
+/* With TLS, calls received() with 0 bytes if reading is wanted and all bytes that have arrived were
+ * read. */
+void transport_tell_empty(struct transport *transport);
 
 /* Ends the connection so that the peer can read the last reply. Closing a socket that has unread bytes
  * would reset the connection, and the peer might lose that reply. So this shuts down the sending side
