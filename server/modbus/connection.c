@@ -100,8 +100,9 @@ static void write_unsent(struct modbus_connection *c) {
   }
 }
 
-static void on_sent(void *owner) {
+static void on_sent(void *owner, uint64_t bytes) {
   struct modbus_connection *c = owner;
+  wrote(c, bytes);
   write_unsent(c);
   worker_run_later(&c->client);
 }

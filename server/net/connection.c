@@ -235,8 +235,10 @@ static void wrote(struct connection *c, uint64_t bytes) {
   c->active_ms = now_ms(c);
 }
 
-static void on_sent(void *owner) {
-  worker_run_later(&((struct connection *)owner)->client); /* the next turn writes more */
+static void on_sent(void *owner, uint64_t bytes) {
+  struct connection *c = owner;
+  wrote(c, bytes);
+  worker_run_later(&c->client); /* the next turn writes more */
 }
 
 /* Cuts the buffers off after this many bytes. Returns how many buffers are left. */

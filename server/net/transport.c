@@ -1,21 +1,21 @@
 #include "server/net/transport.h"
 
-#include <errno.h>
-#include <netinet/in.h>
-#include <netinet/tcp.h>
 #include <sys/socket.h>
 #include <unistd.h>
 
 enum {
-  READ_BYTES = 524288,  /* at most in one call of the poll: with TLS some 200 microseconds */
-  CALL_BYTES = 2048,    /* what a read costs beside its bytes, which may be few */
-  DROPPED_BYTES = 4096, /* at a time, of a peer that has the last reply */
+  TLS_READ_BYTES = 524288, /* at most in one call of the poll: some 200 microseconds */
+  TLS_RECORD_BYTES = 2048, /* what a read takes beside its bytes, as small as a record may be */
+  DROPPED_BYTES = 4096,    /* at a time, of a peer that has the last reply */
 };
 
 static void close_and_tell(uv_handle_t *handle) {
   struct transport *t = handle->data;
-  tls_session_free(t->tls);
-  close(t->fd);
+  if (t->tls != NULL) {
+    tls_session_free(t->tls);
+    t->tls = NULL;
+    close(t->fd); /* libuv closes the sockets of its own streams */
+  }
   t->calls->closed(t->owner);
 }
 
@@ -46,7 +46,75 @@ static size_t find_room(struct transport *t, uint8_t **room) {
   return t->lingering ? sizeof dropped : t->calls->room(t->owner, room);
 }
 
-/* ---- the poll -------------------------------------------------------------------------------- */
+/* ---- plain sockets --------------------------------------------------------------------------- */
+
+static void on_room_wanted(uv_handle_t *handle, size_t suggested, uv_buf_t *buffer) {
+  (void)suggested;
+  struct transport *t = handle->data;
+  uint8_t *room = NULL;
+  const size_t bytes = find_room(t, &room);
+  *buffer = uv_buf_init((char *)room, (unsigned)bytes);
+}
+
+static void on_read(uv_stream_t *stream, ssize_t bytes, const uv_buf_t *buffer) {
+  (void)buffer;
+  struct transport *t = stream->data;
+  if (bytes != 0) {
+    tell_received(t, bytes);
+  }
+}
+
+static void on_written(uv_write_t *request, int status) {
+  struct transport *t = request->handle->data;
+  const uint64_t bytes = t->writing_bytes;
+  t->writing_bytes = 0;
+  t->writing = false;
+  if (status != 0) {
+    fail_transport(t);
+  } else {
+    t->calls->sent(t->owner, bytes);
+  }
+}
+
+static bool write_plain(struct transport *t, const uv_buf_t *buffers, unsigned count,
+                        uint64_t *written) {
+  const int sent = uv_try_write(&t->uv.stream, buffers, count);
+  if (sent > 0) {
+    *written = (uint64_t)sent;
+    return true;
+  }
+  for (unsigned i = 0; i < count; i++) {
+    t->writing_bytes += buffers[i].len;
+  }
+  t->writing = true;
+  return (sent == UV_EAGAIN || sent == 0) &&
+         uv_write(&t->write, &t->uv.stream, buffers, count, on_written) == 0;
+}
+
+static void on_shut_down(uv_shutdown_t *request, int status) {
+  struct transport *t = request->handle->data;
+  if (status != 0) {
+    fail_transport(t);
+  }
+}
+
+static int open_plain(struct transport *t, uv_loop_t *loop) {
+  struct sockaddr_storage address = {.ss_family = AF_UNIX};
+  socklen_t length = sizeof address;
+  getsockname(t->fd, (struct sockaddr *)&address, &length);
+  if (address.ss_family == AF_UNIX) {
+    uv_pipe_init(loop, &t->uv.pipe, 0);
+    return uv_pipe_open(&t->uv.pipe, t->fd);
+  }
+  uv_tcp_init(loop, &t->uv.tcp);
+  const int opened = uv_tcp_open(&t->uv.tcp, t->fd);
+  if (opened == 0) {
+    uv_tcp_nodelay(&t->uv.tcp, 1); /* no delay: small replies are already written together */
+  }
+  return opened;
+}
+
+/* ---- TLS ------------------------------------------------------------------------------------- */
 
 static void on_poll(uv_poll_t *poll, int status, int events);
 
@@ -73,34 +141,20 @@ static bool set_events(struct transport *t) {
   return poll_for(t, events_wanted(t) | (t->events & UV_READABLE));
 }
 
-/* ---- reading and writing --------------------------------------------------------------------- */
-
-/* As tls_session_read(). */
-static ssize_t read_bytes(struct transport *t, uint8_t *room, size_t bytes) {
-  if (t->tls != NULL) {
-    return tls_session_read(t->tls, room, bytes);
-  }
-  const ssize_t got = recv(t->fd, room, bytes, 0);
-  return got > 0    ? got
-         : got == 0 ? UV_EOF
-                    : (errno == EAGAIN || errno == EINTR ? UV_EAGAIN : UV_ECONNRESET);
-}
-
-/* Reads what has arrived, while the owner has room and wants it; with TLS up to the first record
- * without content. */
-static void read_more(struct transport *t) {
-  size_t left = READ_BYTES;
-  bool more = true;
-  t->has_more = t->tls != NULL; /* the poll tells of bytes that a plain socket has */
-  while (more && t->reading && left > CALL_BYTES && !uv_is_closing(&t->uv.handle)) {
-    left -= CALL_BYTES;
+/* Reads what has arrived, while the owner has room and wants it, up to the first record without
+ * content. */
+static void read_tls(struct transport *t) {
+  size_t left = TLS_READ_BYTES;
+  t->has_more = true;
+  while (t->reading && left > TLS_RECORD_BYTES && !uv_is_closing(&t->uv.handle)) {
+    left -= TLS_RECORD_BYTES;
     uint8_t *room = NULL;
-    size_t bytes = find_room(t, &room);
-    bytes = bytes < left ? bytes : left;
-    const ssize_t got = bytes > 0 ? read_bytes(t, room, bytes) : UV_ENOBUFS;
+    const size_t bytes = find_room(t, &room);
+    const ssize_t got =
+        bytes > 0 ? tls_session_read(t->tls, room, bytes < left ? bytes : left) : UV_ENOBUFS;
     if (got == 0 || got == UV_EAGAIN) {
       t->has_more = got == 0;
-      t->blocked = t->tls != NULL && tls_session_is_blocked(t->tls);
+      t->blocked = tls_session_is_blocked(t->tls);
       if (!t->has_more && t->tells_empty) {
         t->tells_empty = false;
         tell_received(t, 0);
@@ -108,7 +162,6 @@ static void read_more(struct transport *t) {
       return;
     }
     left -= got > 0 ? (size_t)got : 0;
-    more = t->tls != NULL || got == (ssize_t)bytes;
     tell_received(t, got);
   }
 }
@@ -125,10 +178,10 @@ static void on_poll(uv_poll_t *poll, int status, int events) {
   }
   if (t->writing && (events & UV_WRITABLE) != 0) {
     t->writing = false;
-    t->calls->sent(t->owner);
+    t->calls->sent(t->owner, 0);
   }
   if ((events & UV_READABLE) != 0 || t->has_more) {
-    read_more(t);
+    read_tls(t);
   }
   if ((events & UV_READABLE) != 0 && (!t->reading || t->blocked)) {
     poll_for(t, events_wanted(t));
@@ -137,9 +190,8 @@ static void on_poll(uv_poll_t *poll, int status, int events) {
   }
 }
 
-/* Returns UV_EAGAIN or another error if the socket does not take all bytes. */
-static ssize_t write_tls(struct transport *t, const uv_buf_t *buffers, unsigned count,
-                         uint64_t *written) {
+static bool write_tls(struct transport *t, const uv_buf_t *buffers, unsigned count,
+                      uint64_t *written) {
   ssize_t sent = 0;
   for (unsigned i = 0; i < count && sent >= 0; i++) {
     for (size_t at = 0; at < buffers[i].len && sent >= 0; at += sent > 0 ? (size_t)sent : 0) {
@@ -147,20 +199,11 @@ static ssize_t write_tls(struct transport *t, const uv_buf_t *buffers, unsigned 
       *written += sent > 0 ? (uint64_t)sent : 0;
     }
   }
-  return sent;
+  t->writing = sent == UV_EAGAIN && *written == 0;
+  return (sent >= 0 || sent == UV_EAGAIN) && set_events(t);
 }
 
-/* The same. uv_buf_t is a struct iovec. */
-static ssize_t write_plain(struct transport *t, const uv_buf_t *buffers, unsigned count,
-                           uint64_t *written) {
-  const struct msghdr message = {.msg_iov = (struct iovec *)(uintptr_t)buffers,
-                                 .msg_iovlen = count};
-  const ssize_t sent = sendmsg(t->fd, &message, MSG_NOSIGNAL);
-  *written = sent > 0 ? (uint64_t)sent : 0;
-  return sent >= 0 ? sent : errno == EAGAIN || errno == EINTR ? UV_EAGAIN : UV_EPIPE;
-}
-
-/* ---- public ---------------------------------------------------------------------------------- */
+/* ---- both ------------------------------------------------------------------------------------ */
 
 int transport_open(struct transport *t, uv_loop_t *loop, int fd, struct tls_session *session,
                    const struct transport_calls *calls, void *owner) {
@@ -169,11 +212,11 @@ int transport_open(struct transport *t, uv_loop_t *loop, int fd, struct tls_sess
   t->fd = fd;
   t->tls = session;
   t->has_more = session != NULL; /* The handshake may have received the first request. */
-  const int on = 1;
-  setsockopt(fd, IPPROTO_TCP, TCP_NODELAY, &on, sizeof on); /* small replies are written together */
-  const int opened = uv_poll_init(loop, &t->uv.poll, fd);
-  if (opened != 0) {
-    uv_idle_init(loop, &t->uv.none); /* makes a handle that can be closed */
+  const int opened = session != NULL ? uv_poll_init(loop, &t->uv.poll, fd) : open_plain(t, loop);
+  if (opened != 0 && session != NULL) {
+    uv_tcp_init(loop, &t->uv.tcp); /* makes a handle that can be closed */
+  } else if (opened != 0) {
+    close(fd);
   }
   t->uv.handle.data = t;
   return opened;
@@ -184,7 +227,10 @@ void transport_set_reading(struct transport *t, bool wanted) {
     return;
   }
   t->reading = wanted;
-  if (!set_events(t)) {
+  if (t->tls == NULL && !wanted) {
+    uv_read_stop(&t->uv.stream);
+  } else if (t->tls != NULL ? !set_events(t)
+                            : uv_read_start(&t->uv.stream, on_room_wanted, on_read) != 0) {
     t->reading = false;
     fail_transport(t);
   }
@@ -192,9 +238,8 @@ void transport_set_reading(struct transport *t, bool wanted) {
 
 uint64_t transport_write(struct transport *t, const uv_buf_t *buffers, unsigned count) {
   uint64_t written = 0;
-  const ssize_t sent = (t->tls != NULL ? write_tls : write_plain)(t, buffers, count, &written);
-  t->writing = sent == UV_EAGAIN && written == 0;
-  const bool good = (sent >= 0 || sent == UV_EAGAIN) && set_events(t);
+  const bool good = t->tls != NULL ? write_tls(t, buffers, count, &written)
+                                   : write_plain(t, buffers, count, &written);
   return good || fail_transport(t) ? written : 0;
 }
 
@@ -206,11 +251,15 @@ void transport_tell_empty(struct transport *t) {
 }
 
 void transport_linger(struct transport *t) {
+  bool good;
   if (t->tls != NULL) {
     tls_session_end(t->tls);
+    good = shutdown(t->fd, SHUT_WR) == 0;
+  } else {
+    good = uv_shutdown(&t->shutdown, &t->uv.stream, on_shut_down) == 0;
   }
   t->lingering = true;
-  if (shutdown(t->fd, SHUT_WR) == 0) {
+  if (good) {
     transport_set_reading(t, true);
   } else {
     fail_transport(t);
