@@ -119,11 +119,11 @@ core_fault core_layers_fit_check(const core_layers_fit_request *request) {
   }
   for (size_t i = 0; i < request->count; i++) {
     const core_fault fault = !(request->at[i] > 0 && isfinite(request->at[i]))
-                                 ? (core_fault){"at", "above 0, finite", i}
+                                 ? (core_fault){"at", "above 0, and finite", i}
                              : !isfinite(request->values[i]) ? (core_fault){"values", "finite", i}
                              : request->errors[i] > 0 && isfinite(request->errors[i])
                                  ? (core_fault){0}
-                                 : (core_fault){"errors", "above 0, finite", i};
+                                 : (core_fault){"errors", "above 0, and finite", i};
     if (fault.field != NULL) {
       return fault;
     }

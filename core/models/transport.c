@@ -1275,16 +1275,16 @@ core_fault core_transport_prepare(const core_inputs *inputs, core_preparation *p
     return fill_nothing(core_sigma_t_prime(&medium), preparation);
   }
   const double usual = is_layered(inputs) ? LAYERS_TOLERANCE : TOLERANCE;
-  const double tolerance = isinf(inputs->accepted) ? usual
-                           : inputs->accepted > 0
-                               ? fmax(inputs->accepted, TOLERANCE)
-                               : core_parameter_or(inputs, CORE_PARAMETER_TOLERANCE, usual);
+  const double asked = isinf(inputs->accepted) ? (double)NAN
+                       : inputs->accepted > 0  ? fmax(inputs->accepted, TOLERANCE)
+                                              : inputs->parameters->value[CORE_PARAMETER_TOLERANCE];
+  const double tolerance = isnan(asked) ? usual : asked;
   if (is_layered(inputs)) {
     return prepare_layers(inputs, tolerance, preparation);
   }
   const bool any = inputs->accepted > 0 || inputs->only_albedo; /* the albedo's error is small */
   return inputs->light == CORE_LIGHT_BEAM &&
-                 core_transport_is_looked_up(&medium, any ? (double)NAN : tolerance)
+                 core_transport_is_looked_up(&medium, any ? (double)NAN : asked)
              ? prepare_stored(inputs, &medium, preparation)
              : prepare_solved(inputs, &medium, tolerance, preparation);
 }
