@@ -323,6 +323,15 @@ static void take_layers(const core_inputs *inputs, solver_layer layer[CORE_LAYER
   }
 }
 
+/* Returns the least sigma_a of the layers per reduced mean free path of the first one. */
+static double absorbs_least_of(const core_inputs *inputs) {
+  double least = inputs->medium[0].sigma_a_per_mm;
+  for (uint32_t i = 1; i < inputs->parameters->layer_count; i++) {
+    least = fmin(least, inputs->medium[i].sigma_a_per_mm);
+  }
+  return least / core_sigma_t_prime(inputs->medium);
+}
+
 static double eta_below_of(const core_inputs *inputs) {
   return core_parameter_or(inputs, CORE_PARAMETER_ETA_BELOW, 1);
 }
@@ -558,7 +567,8 @@ struct source {
   const transport_series *series;  /* of the table, else NULL */
   const solver_solution *solution; /* else NULL */
   const solver_layers *layers;     /* else NULL */
-  size_t side; /* index of the side of the layers where light leaves: top or bottom */
+  size_t side;          /* index of the side of the layers where light leaves: top or bottom */
+  double absorbs_least; /* least sigma_a of the layers, per reduced mean free path of the first */
   double kappa;
 };
 
@@ -1071,17 +1081,18 @@ static core_fault prepare_solved(const core_inputs *inputs, const core_medium *m
 _Static_assert((int)CORE_LAYERS_MAX == (int)SOLVER_LAYERS_MAX, "the solver takes as many layers");
 
 /* Returns the kappa with which R of a dipole in diffusion, (1 + kappa x) e^(-kappa x) / x^3, has
- * the slope of R at the end of the panels. R of layers decays at a rate that depends on their
- * thickness. */
+ * the slope of R at the end of the panels; at least what the layer that absorbs least absorbs. R of
+ * layers decays at a rate that depends on their thickness. */
 static double kappa_at(const struct source *source, double end) {
   const double step = 0.125;
   const double near = solved_at(source, real_exp_signed(end - step)).value;
   const double far = solved_at(source, real_exp_signed(end)).value;
   const double steeper =
       near > far && far > 0 ? (real_log(near, 0) - real_log(far, 0)) / step - 3 : 0;
-  return steeper > 0
-             ? 0.5 * (steeper + sqrt(steeper * (steeper + 4))) / real_exp_signed(end - 0.5 * step)
-             : 0;
+  const double at_end = steeper > 0 ? 0.5 * (steeper + sqrt(steeper * (steeper + 4))) /
+                                          real_exp_signed(end - 0.5 * step)
+                                    : 0;
+  return fmax(at_end, source->absorbs_least);
 }
 
 /* A solution of layers loses its digits far away. It is used up to the largest radius where its
@@ -1174,7 +1185,8 @@ static core_fault differentiate_layers(const core_inputs *inputs, const struct s
 
 /* Adds T to a profile of layers. */
 static core_fault add_below(const struct source *above, core_preparation *preparation) {
-  struct source source = {.medium = above->medium, .layers = above->layers, .side = 1};
+  struct source source = *above;
+  source.side = 1;
   struct panels panels = {.joined = false};
   core_added_errors added = {{0}, 0};
   double end, growth;
@@ -1222,8 +1234,10 @@ static core_fault prepare_layers(const core_inputs *inputs, double tolerance,
     fault = solver_layers_balance(solution, inputs->isa, &balance);
   }
   if (fault.field == NULL) {
-    struct source source = {
-        .medium = inputs->medium, .layers = solution, .side = is_transmitted(inputs)};
+    struct source source = {.medium = inputs->medium,
+                            .layers = solution,
+                            .side = is_transmitted(inputs),
+                            .absorbs_least = absorbs_least_of(inputs)};
     struct panels panels = {.joined = false};
     struct derivative by[2];
     const transport_number *total = &balance.out[source.side];

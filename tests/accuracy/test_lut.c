@@ -358,6 +358,18 @@ UNIT_TEST(ordinary_media_are_never_refused) {
   }
 }
 
+/* Light in a slab of a fraction of a mean free path falls like 1 / r^3 where the solver ends: without
+ * its absorption it would never end. */
+UNIT_TEST(thin_slabs_are_not_refused) {
+  static const double slabs[][2] = {{0.01, 1}, {0.01, 0.3}, {0.1, 2}, {1, 0.3}};
+  for (size_t i = 0; i < sizeof slabs / sizeof slabs[0]; i++) {
+    const core_medium slab = {0.1, slabs[i][0], 0.75, 1, slabs[i][1]};
+    core_profile table;
+    unit_assert_fault(table_prepare(&table, CORE_MODEL_TRANSPORT, &slab, (double)NAN), NULL, 0);
+    core_profile_free(&table);
+  }
+}
+
 /* Pieces of these media's tables keep the tolerance at the places where a fit looks, and miss it by a
  * little between them. */
 UNIT_TEST(pieces_that_miss_between_their_places_are_cut_again) {
