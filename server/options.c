@@ -9,7 +9,7 @@
 #include <string.h>
 #include <unistd.h>
 
-enum kind { NUMBER, TEXT, LIST, FLAG };
+enum kind { NUMBER, TEXT, LIST };
 
 struct description {
   const char *name;
@@ -31,7 +31,6 @@ struct description {
   {name, #field, value, "", help, TEXT, AT(field), 0, 0, 0},
 #define SERVER_LIST(field, name, value, separators, help)                                          \
   {name, #field, value, separators, help, LIST, AT(field), 0, 0, 0},
-#define SERVER_FLAG(field, name, help) {name, #field, "", "", help, FLAG, AT(field), 0, 0, 0},
 static const struct description descriptions[] = {
 #include "server/options.def"
 };
@@ -69,17 +68,6 @@ static bool add_item(const struct description *option, const char *text,
   return true;
 }
 
-/* Sets a flag. text: NULL on the command line, where a flag has no value; "0" or "1" in the
- * environment. */
-static bool set_flag(const struct description *option, const char *text, bool *flag) {
-  if (text != NULL && strcmp(text, "0") != 0 && strcmp(text, "1") != 0) {
-    fprintf(stderr, "dipoled: --%s is 0 or 1 in the environment, not '%s'\n", option->name, text);
-    return false;
-  }
-  *flag = text == NULL || text[0] == '1';
-  return true;
-}
-
 static bool set_option(struct options *options, const struct description *option,
                        const char *text) {
   switch (option->kind) {
@@ -90,8 +78,6 @@ static bool set_option(struct options *options, const struct description *option
     return true;
   case LIST:
     return add_item(option, text, option_place(options, option));
-  case FLAG:
-    return set_flag(option, text, option_place(options, option));
   }
   return false;
 }
@@ -259,8 +245,7 @@ static enum options_outcome read_command_line(int argc, char **argv, struct opti
   struct option longs[OPTIONS + 3] = {{0}};
   bool begun[OPTIONS] = {false};
   for (int i = 0; i < OPTIONS; i++) {
-    const int argument = descriptions[i].kind == FLAG ? no_argument : required_argument;
-    longs[i] = (struct option){descriptions[i].name, argument, NULL, i};
+    longs[i] = (struct option){descriptions[i].name, required_argument, NULL, i};
   }
   longs[HELP] = (struct option){"help", no_argument, NULL, HELP};
   longs[VERSION] = (struct option){"version", no_argument, NULL, VERSION};

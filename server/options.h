@@ -17,7 +17,6 @@ struct options_list {
 #define SERVER_NUMBER(field, name, default_value, least, most, help) uint64_t field;
 #define SERVER_TEXT(field, name, value, help) const char *field;
 #define SERVER_LIST(field, name, value, separators, help) struct options_list field;
-#define SERVER_FLAG(field, name, help) bool field;
 struct options {
 #include "server/options.def"
 };

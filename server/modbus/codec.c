@@ -3,6 +3,8 @@
 #include <modbus.h>
 #include <string.h>
 
+#include "server/net/roles.h"
+
 /* ---- requests -------------------------------------------------------------------------------- */
 
 static unsigned word(const uint8_t *at) {
@@ -17,28 +19,27 @@ static const struct function {
   uint8_t request_values; /* position of the byte that counts the bytes of values, or 0 */
   uint8_t reply; /* length of a reply, without the values that it counts; 0: it is not known */
   uint8_t reply_values;
-  /* What the daemon does for this function. ELSEWHERE: the daemon does not serve it. */
-  enum { ELSEWHERE, READS, WRITES } here;
+  unsigned roles; /* roles that a master needs; 0: the daemon does not serve it */
 } functions[] = {
-    {MODBUS_FC_READ_COILS, 5, 0, 2, 1, READS},
-    {MODBUS_FC_READ_DISCRETE_INPUTS, 5, 0, 2, 1, READS},
-    {MODBUS_FC_READ_HOLDING_REGISTERS, 5, 0, 2, 1, READS},
-    {MODBUS_FC_READ_INPUT_REGISTERS, 5, 0, 2, 1, READS},
-    {MODBUS_FC_WRITE_SINGLE_COIL, 5, 0, 5, 0, WRITES},
-    {MODBUS_FC_WRITE_SINGLE_REGISTER, 5, 0, 5, 0, WRITES},
-    {MODBUS_FC_READ_EXCEPTION_STATUS, 1, 0, 2, 0, ELSEWHERE},
-    {MODBUS_FC_DIAGNOSTICS, 5, 0, 5, 0, ELSEWHERE},
-    {0x0b, 1, 0, 5, 0, ELSEWHERE}, /* get comm event counter */
-    {0x0c, 1, 0, 2, 1, ELSEWHERE}, /* get comm event log */
-    {MODBUS_FC_WRITE_MULTIPLE_COILS, 6, 5, 5, 0, WRITES},
-    {MODBUS_FC_WRITE_MULTIPLE_REGISTERS, 6, 5, 5, 0, WRITES},
-    {MODBUS_FC_REPORT_SLAVE_ID, 1, 0, 2, 1, READS},
-    {0x14, 2, 1, 2, 1, ELSEWHERE}, /* read file record */
-    {0x15, 2, 1, 2, 1, ELSEWHERE}, /* write file record */
-    {MODBUS_FC_MASK_WRITE_REGISTER, 7, 0, 7, 0, WRITES},
-    {MODBUS_FC_WRITE_AND_READ_REGISTERS, 10, 9, 2, 1, WRITES},
-    {0x18, 3, 0, 3, 2, ELSEWHERE}, /* read FIFO queue */
-    {MODBUS_FC_READ_DEVICE_ID, 4, 0, 0, 0, READS},
+    {MODBUS_FC_READ_COILS, 5, 0, 2, 1, ROLE_READ},
+    {MODBUS_FC_READ_DISCRETE_INPUTS, 5, 0, 2, 1, ROLE_READ},
+    {MODBUS_FC_READ_HOLDING_REGISTERS, 5, 0, 2, 1, ROLE_READ},
+    {MODBUS_FC_READ_INPUT_REGISTERS, 5, 0, 2, 1, ROLE_READ},
+    {MODBUS_FC_WRITE_SINGLE_COIL, 5, 0, 5, 0, ROLE_WRITE},
+    {MODBUS_FC_WRITE_SINGLE_REGISTER, 5, 0, 5, 0, ROLE_WRITE},
+    {MODBUS_FC_READ_EXCEPTION_STATUS, 1, 0, 2, 0, 0},
+    {MODBUS_FC_DIAGNOSTICS, 5, 0, 5, 0, 0},
+    {0x0b, 1, 0, 5, 0, 0}, /* get comm event counter */
+    {0x0c, 1, 0, 2, 1, 0}, /* get comm event log */
+    {MODBUS_FC_WRITE_MULTIPLE_COILS, 6, 5, 5, 0, ROLE_WRITE},
+    {MODBUS_FC_WRITE_MULTIPLE_REGISTERS, 6, 5, 5, 0, ROLE_WRITE},
+    {MODBUS_FC_REPORT_SLAVE_ID, 1, 0, 2, 1, ROLE_READ},
+    {0x14, 2, 1, 2, 1, 0}, /* read file record */
+    {0x15, 2, 1, 2, 1, 0}, /* write file record */
+    {MODBUS_FC_MASK_WRITE_REGISTER, 7, 0, 7, 0, ROLE_WRITE},
+    {MODBUS_FC_WRITE_AND_READ_REGISTERS, 10, 9, 2, 1, ROLE_READ | ROLE_WRITE},
+    {0x18, 3, 0, 3, 2, 0}, /* read FIFO queue */
+    {MODBUS_FC_READ_DEVICE_ID, 4, 0, 0, 0, ROLE_READ},
 };
 
 /* Finds a function by its number. Returns NULL if it is unknown. */
@@ -65,9 +66,9 @@ size_t modbus_pdu_bytes(const uint8_t *pdu, size_t bytes) {
   return function == NULL ? 0 : counted(pdu, bytes, function->request, function->request_values);
 }
 
-bool modbus_pdu_writes(unsigned number) {
+unsigned modbus_pdu_roles(unsigned number) {
   const struct function *function = find_function(number);
-  return function != NULL && function->here == WRITES;
+  return function != NULL ? function->roles : 0;
 }
 
 static bool within(unsigned count, unsigned most) {
@@ -123,7 +124,7 @@ static bool take_counts(const uint8_t *pdu, struct modbus_request *request) {
 unsigned modbus_pdu_parse(const uint8_t *pdu, size_t bytes, struct modbus_request *request) {
   *request = (struct modbus_request){.function = pdu[0]};
   const struct function *function = find_function(request->function);
-  if (function == NULL || function->here == ELSEWHERE ||
+  if (function == NULL || function->roles == 0 ||
       (request->function == MODBUS_FC_READ_DEVICE_ID && bytes > 1 && pdu[1] != 0x0e)) {
     return MODBUS_EXCEPTION_ILLEGAL_FUNCTION;
   }

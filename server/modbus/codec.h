@@ -35,8 +35,8 @@ unsigned modbus_pdu_parse(const uint8_t *pdu, size_t bytes, struct modbus_reques
  * few bytes to tell, or if the function is none of the standard's. */
 size_t modbus_pdu_bytes(const uint8_t *pdu, size_t bytes);
 
-/* Returns whether the function of a number changes anything. */
-bool modbus_pdu_writes(unsigned number);
+/* Returns the roles (server/net/roles.h) that the function of a number needs; 0: it is not served. */
+unsigned modbus_pdu_roles(unsigned number);
 
 /* ---- frames of serial lines: unit, PDU, checksum --------------------------------------------- */
 

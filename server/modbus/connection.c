@@ -52,7 +52,6 @@ static void log_refusal(const struct modbus_connection *c, const uint8_t *frame,
 static void on_closed(void *owner) {
   struct modbus_connection *c = owner;
   stats_subtract(stats_of(c), STATS_MODBUS_CONNECTIONS_OPEN, 1);
-  free(c->may.rights);
   worker_forget(&c->client);
   modbus_units_leave(c->units, &c->client);
   free(c);
@@ -139,7 +138,7 @@ static void send_reply(struct modbus_connection *c, size_t pdu_bytes) {
 static void handle_frame(struct modbus_connection *c, const uint8_t *frame, size_t bytes) {
   struct modbus_unit *unit = NULL;
   const size_t replied_bytes =
-      modbus_carry_out(c->units, &c->client, &c->may, unit_of(frame[6]), frame + HEADER_BYTES,
+      modbus_carry_out(c->units, &c->client, c->roles, unit_of(frame[6]), frame + HEADER_BYTES,
                        bytes - HEADER_BYTES, c->unsent + HEADER_BYTES, &unit);
   if (replied_bytes > 0) {
     log_refusal(c, frame, bytes);
@@ -343,8 +342,7 @@ static void check_time(struct client *client, uint64_t time_ms) {
 }
 
 struct modbus_connection *modbus_connection_new(struct modbus_units *units, int fd,
-                                                struct tls_session *session,
-                                                const struct modbus_permissions *may) {
+                                                struct tls_session *session, unsigned roles) {
   static const struct client_kind kind = {
       .start = start_client,
       .run = run_turn,
@@ -360,7 +358,7 @@ struct modbus_connection *modbus_connection_new(struct modbus_units *units, int 
     c->units = units;
     c->fd = fd;
     c->tls = session;
-    c->may = *may;
+    c->roles = roles;
   }
   return c;
 }

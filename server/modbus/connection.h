@@ -23,7 +23,7 @@ struct modbus_connection {
   struct modbus_units *units;
   int fd;
   struct tls_session *tls; /* NULL: the bytes are plain */
-  struct modbus_permissions may;
+  unsigned roles;          /* roles of the master */
   struct transport transport;
 
   struct modbus_unit *waits_for; /* the unit that evaluates the first frame; NULL: there is none */
@@ -43,10 +43,9 @@ struct modbus_connection {
 };
 
 /* Makes a connection of a connected, non-blocking socket, which the connection then owns, like the
- * session, which may be NULL, and the rights. The caller gives `client` to the worker that has the
+ * session, which may be NULL. The caller gives `client` to the worker that has the
  * units. Returns NULL if there is no memory; all that is still the caller's then. */
 struct modbus_connection *modbus_connection_new(struct modbus_units *units, int fd,
-                                                struct tls_session *session,
-                                                const struct modbus_permissions *may);
+                                                struct tls_session *session, unsigned roles);
 
 #endif

@@ -336,12 +336,12 @@ static void finish_request(struct modbus_line *line, size_t pdu_bytes) {
 static void handle_request(struct modbus_line *line) {
   struct modbus_unit *unit = NULL;
   const uint8_t *pdu = line->burst.request + 1;
-  if (line->burst.request[0] == MODBUS_BROADCAST_ADDRESS && !modbus_pdu_writes(pdu[0])) {
+  if (line->burst.request[0] == MODBUS_BROADCAST_ADDRESS &&
+      (modbus_pdu_roles(pdu[0]) & ROLE_WRITE) == 0) {
     return;
   }
-  const struct modbus_permissions may = {.write = true};
   const size_t replied_bytes =
-      modbus_carry_out(line->units, &line->client, &may, line->device.number, pdu,
+      modbus_carry_out(line->units, &line->client, ROLE_ALL, line->device.number, pdu,
                        request_pdu_bytes(line), line->output + 1, &unit);
   if (replied_bytes > 0) {
     modbus_log_refusal(pdu, request_pdu_bytes(line), line->output + 1, line->burst.request[0],

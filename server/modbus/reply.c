@@ -179,34 +179,14 @@ static size_t handle_at_unit(struct modbus_unit *unit, struct client *client, co
   return unit->awaited != NULL ? 0 : put_result(unit, request, pdu, reply);
 }
 
-/* Returns whether the rights of a master's certificate allow a request. Functions 17 and 43 name no
- * registers. */
-static bool is_authorized(const struct roles_rights *rights, const struct modbus_request *request) {
-  const unsigned function = request->function;
-  if (rights == NULL) {
-    return true;
-  }
-  if (function == MODBUS_FC_WRITE_SINGLE_COIL || function == MODBUS_FC_WRITE_MULTIPLE_COILS) {
-    return roles_allow(rights, function, true, request->address, request->count);
-  }
-  const bool writes = modbus_pdu_writes(function);
-  return (!writes ||
-          roles_allow(rights, function, true, request->write_address, request->write_count)) &&
-         ((writes && function != MODBUS_FC_WRITE_AND_READ_REGISTERS) ||
-          roles_allow(rights, function, false, request->address, request->count));
-}
-
-static size_t handle_request(struct modbus_units *units, struct client *client,
-                             const struct modbus_permissions *may, unsigned number,
-                             const uint8_t *pdu, size_t bytes, uint8_t *reply,
+static size_t handle_request(struct modbus_units *units, struct client *client, unsigned roles,
+                             unsigned number, const uint8_t *pdu, size_t bytes, uint8_t *reply,
                              struct modbus_unit **waits_for) {
   struct modbus_request request;
   unsigned exception = modbus_pdu_parse(pdu, bytes, &request);
-  const bool may_write = may->write && !units->server->options.modbus_read_only;
   if (number == 0) {
     exception = MODBUS_EXCEPTION_GATEWAY_TARGET;
-  } else if ((!may_write && modbus_pdu_writes(pdu[0])) ||
-             (exception == 0 && !is_authorized(may->rights, &request))) {
+  } else if ((modbus_pdu_roles(pdu[0]) & ~roles) != 0) {
     exception = MODBUS_EXCEPTION_ILLEGAL_FUNCTION;
   }
   size_t length = 0;
@@ -226,11 +206,10 @@ static size_t handle_request(struct modbus_units *units, struct client *client,
   return handle_at_unit(*waits_for, client, pdu, &request, reply);
 }
 
-size_t modbus_carry_out(struct modbus_units *units, struct client *client,
-                        const struct modbus_permissions *may, unsigned number, const uint8_t *pdu,
-                        size_t bytes, uint8_t reply[MODBUS_PDU_MAX],
-                        struct modbus_unit **waits_for) {
-  const size_t length = handle_request(units, client, may, number, pdu, bytes, reply, waits_for);
+size_t modbus_carry_out(struct modbus_units *units, struct client *client, unsigned roles,
+                        unsigned number, const uint8_t *pdu, size_t bytes,
+                        uint8_t reply[MODBUS_PDU_MAX], struct modbus_unit **waits_for) {
+  const size_t length = handle_request(units, client, roles, number, pdu, bytes, reply, waits_for);
   count_reply(units, reply, length);
   return length;
 }

@@ -6,24 +6,14 @@
 
 #include "server/modbus/codec.h"
 #include "server/modbus/unit.h"
-#include "server/net/roles.h"
-
-/* What a master may do. */
-struct modbus_permissions {
-  bool write; /* whether the master may use functions that write */
-  /* the rights by the master's certificate; NULL: there are no such limits */
-  struct roles_rights *rights;
-};
 
 /* Carries out a request to the unit of this number, which is 0 if there is no such unit, and writes
- * the reply, which may be an exception. What the permissions do not allow gets exception 01, as
- * functions that write do with --modbus-read-only. pdu: the request, whose first byte is less than
- * 0x80. Returns the length of the reply. Returns 0 if the request has put a job into the batch:
+ * the reply, which may be an exception. roles: of the master (server/net/roles.h); without those that
+ * a function needs, it gets exception 01. pdu: the request, whose first byte is less than 0x80. Returns the length of the reply. Returns 0 if the request has put a job into the batch:
  * *waits_for is then the unit, and the client's finish() has to call modbus_late_reply(). */
-size_t modbus_carry_out(struct modbus_units *units, struct client *client,
-                        const struct modbus_permissions *may, unsigned number, const uint8_t *pdu,
-                        size_t bytes, uint8_t reply[MODBUS_PDU_MAX],
-                        struct modbus_unit **waits_for);
+size_t modbus_carry_out(struct modbus_units *units, struct client *client, unsigned roles,
+                        unsigned number, const uint8_t *pdu, size_t bytes,
+                        uint8_t reply[MODBUS_PDU_MAX], struct modbus_unit **waits_for);
 
 /* Makes the reply to a request whose job has been evaluated. Returns the length of the reply. */
 size_t modbus_late_reply(const struct modbus_unit *unit, const uint8_t *pdu, size_t bytes,

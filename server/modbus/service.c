@@ -104,17 +104,13 @@ static void refuse_socket(struct server *server, int fd, const char *why) {
 /* Gives a connection to the worker. session: NULL if its bytes are plain. */
 static void give_to_worker(struct server *server, int fd, struct tls_session *session) {
   struct modbus_service *service = server->modbus;
-  struct modbus_permissions may = {.write = access_allows_peer(&service->write, fd)};
+  const unsigned roles = (session != NULL ? tls_session_roles(session) : ROLE_ALL) &
+                         (access_allows_peer(&service->write, fd) ? ROLE_ALL : ~ROLE_WRITE);
   const char *why = refusal(service, fd);
   struct modbus_connection *connection =
-      why == NULL && (session == NULL || tls_session_rights(session, &may.rights))
-          ? modbus_connection_new(service->units, fd, session, &may)
-          : NULL;
+      why == NULL ? modbus_connection_new(service->units, fd, session, roles) : NULL;
   if (connection == NULL) {
-    free(may.rights);
-    if (session != NULL) {
-      tls_session_free(session);
-    }
+    tls_session_free(session);
     refuse_socket(server, fd, why != NULL ? why : "out-of-memory");
     return;
   }

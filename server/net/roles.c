@@ -5,13 +5,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-enum {
-  LINE_BYTES = 1024,
-  ENTRIES_MAX = 1000,
-  RIGHTS_MAX = 16,
-  ADDRESS_MAX = 65535,
-  FUNCTION_MAX = 127
-};
+enum { LINE_BYTES = 1024, ENTRIES_MAX = 1000 };
 
 enum kind { EVERYBODY, SUBJECT, ROLE };
 
@@ -19,8 +13,6 @@ struct entry {
   unsigned roles;
   enum kind kind;
   char *name; /* name that a certificate must have; NULL: everybody */
-  size_t right_count;
-  struct roles_right rights[RIGHTS_MAX]; /* rights of Modbus masters */
 };
 
 struct roles {
@@ -31,7 +23,11 @@ struct roles {
 static const struct {
   enum role role;
   const char *name;
-} names[] = {{ROLE_EVALUATE, "evaluate"}, {ROLE_COMPUTE, "compute"}, {ROLE_OBSERVE, "observe"}};
+} names[] = {{ROLE_EVALUATE, "evaluate"},
+             {ROLE_COMPUTE, "compute"},
+             {ROLE_OBSERVE, "observe"},
+             {ROLE_READ, "read"},
+             {ROLE_WRITE, "write"}};
 
 enum { NAMES = sizeof names / sizeof names[0] };
 
@@ -45,45 +41,22 @@ const char *roles_name(unsigned role) {
 
 /* ---- the file -------------------------------------------------------------------------------- */
 
-/* Reads a right of Modbus masters: read, write or fcN, and behind a colon the addresses. */
-static bool read_right(const char *text, struct roles_right *right) {
-  char what[8] = "";
-  int end = 0;
-  *right = (struct roles_right){.last = ADDRESS_MAX};
-  if (text[strspn(text, "abcdefghijklmnopqrstuvwxyz0123456789:-")] != '\0') {
-    return false;
-  }
-  const int read =
-      sscanf(text, "%7[a-z0-9]%n:%5u%n-%5u%n", what, &end, &right->first, &end, &right->last, &end);
-  right->last = read == 2 ? right->first : right->last;
-  right->reads = strcmp(what, "read") == 0;
-  right->writes = strcmp(what, "write") == 0;
-  return text[end] == '\0' && right->first <= right->last && right->last <= ADDRESS_MAX &&
-         (right->reads || right->writes ||
-          (sscanf(what, "fc%3u%n", &right->function, &end) == 1 && what[end] == '\0' &&
-           right->function > 0 && right->function <= FUNCTION_MAX));
-}
-
-/* Reads a list of roles and rights, as "evaluate,observe,read". Returns what is wrong, or NULL. */
+/* Reads a list of roles, as "evaluate,observe". Returns what is wrong, or NULL. */
 static const char *read_roles(char *text, struct entry *entry) {
-  static const char what[] = "write roles first: evaluate, compute, observe, read, write or fcN, "
-                             "with commas between them, "
-                             "and addresses behind the last three as in read:300-420";
+  static const char what[] = "write roles first: evaluate, compute, observe, read or write, with "
+                             "commas between them";
   char *rest = text;
   for (char *one = strtok_r(text, ",", &rest); one != NULL; one = strtok_r(NULL, ",", &rest)) {
     size_t i = 0;
     while (i < NAMES && strcmp(one, names[i].name) != 0) {
       i++;
     }
-    if (i < NAMES) {
-      entry->roles |= names[i].role;
-    } else if (entry->right_count == RIGHTS_MAX) {
-      return "the line has more than 16 rights of Modbus masters";
-    } else if (!read_right(one, &entry->rights[entry->right_count++])) {
+    if (i == NAMES) {
       return what;
     }
+    entry->roles |= names[i].role;
   }
-  return entry->roles == 0 && entry->right_count == 0 ? what : NULL;
+  return entry->roles == 0 ? what : NULL;
 }
 
 /* Returns a copy of a subject as RFC 2253 lets tls.c write it: \C3\A9 in place of the two bytes of
@@ -201,48 +174,4 @@ unsigned roles_of(const struct roles *roles, const char *subject, const char *ro
     }
   }
   return sum;
-}
-
-/* ---- rights of Modbus masters ---------------------------------------------------------------- */
-
-struct roles_rights *roles_rights_of(const struct roles *roles, const char *subject,
-                                     const char *role) {
-  size_t count = 0;
-  for (size_t i = 0; i < roles->count; i++) {
-    count += names_client(&roles->entries[i], subject, role) ? roles->entries[i].right_count : 0;
-  }
-  struct roles_rights *rights = malloc(sizeof *rights + count * sizeof rights->items[0]);
-  if (rights == NULL) {
-    return NULL;
-  }
-  rights->count = 0;
-  for (size_t i = 0; i < roles->count; i++) {
-    const struct entry *entry = &roles->entries[i];
-    if (names_client(entry, subject, role)) {
-      memcpy(rights->items + rights->count, entry->rights,
-             entry->right_count * sizeof entry->rights[0]);
-      rights->count += entry->right_count;
-    }
-  }
-  return rights;
-}
-
-bool roles_allow(const struct roles_rights *rights, unsigned function, bool writes, unsigned first,
-                 unsigned count) {
-  const unsigned end = first + count;
-  /* Each round finds a right that goes beyond the addresses that are known to be allowed. */
-  for (unsigned at = first, reached = first;; at = reached) {
-    bool any = false;
-    for (size_t i = 0; i < rights->count; i++) {
-      const struct roles_right *one = &rights->items[i];
-      const bool fits = one->function == function || (writes ? one->writes : one->reads);
-      any = any || fits;
-      if (fits && one->first <= at && one->last + 1 > reached) {
-        reached = one->last + 1;
-      }
-    }
-    if (count == 0 || reached >= end || reached == at) {
-      return count == 0 ? any : reached >= end;
-    }
-  }
 }

@@ -309,36 +309,18 @@ static void copy_subject(const X509 *certificate, char subject[SUBJECT_BYTES]) {
   BIO_free(bio);
 }
 
-/* Who a client is, by its certificate: both texts are "" if it has none. */
-struct who {
-  char subject[SUBJECT_BYTES], role[ROLE_BYTES];
-};
-
-/* Returns the roles of the session's context; if there are any, also finds who the client is. */
-static const struct roles *find_roles(const SSL *ssl, struct who *who) {
+unsigned tls_session_roles(const struct tls_session *session) {
+  const SSL *ssl = (const SSL *)(const void *)session;
   const struct roles *roles = SSL_CTX_get_ex_data(SSL_get_SSL_CTX(ssl), roles_index);
   X509 *certificate = SSL_get0_peer_certificate(ssl);
-  who->subject[0] = who->role[0] = '\0';
+  char subject[SUBJECT_BYTES] = "", role[ROLE_BYTES] = "";
   ERR_clear_error();
   if (roles != NULL && certificate != NULL) {
-    copy_subject(certificate, who->subject);
-    copy_role(certificate, who->role);
+    copy_subject(certificate, subject);
+    copy_role(certificate, role);
   }
   ERR_clear_error();
-  return roles;
-}
-
-unsigned tls_session_roles(const struct tls_session *session) {
-  struct who who;
-  const struct roles *roles = find_roles(ssl_of(session), &who);
-  return roles != NULL ? roles_of(roles, who.subject, who.role) : ROLE_ALL;
-}
-
-bool tls_session_rights(const struct tls_session *session, struct roles_rights **rights) {
-  struct who who;
-  const struct roles *roles = find_roles(ssl_of(session), &who);
-  *rights = roles != NULL ? roles_rights_of(roles, who.subject, who.role) : NULL;
-  return roles == NULL || *rights != NULL;
+  return roles != NULL ? roles_of(roles, subject, role) : ROLE_ALL;
 }
 
 uint64_t tls_session_received_bytes(const struct tls_session *session) {

@@ -50,10 +50,6 @@ enum tls_progress tls_session_shake_hands(struct tls_session *session, char why[
 /* Returns the sum of the client's roles (server/net/roles.h), after the handshake. */
 unsigned tls_session_roles(const struct tls_session *session);
 
-/* Sets *rights to a Modbus master's rights, which the caller frees, or to NULL if no file of roles
- * limits them. Returns false if there is no memory. */
-bool tls_session_rights(const struct tls_session *session, struct roles_rights **rights);
-
 /* Returns how many bytes the peer has sent. */
 uint64_t tls_session_received_bytes(const struct tls_session *session);
 

@@ -57,11 +57,6 @@ $ for one in WORKER LOGLEVEL max_media '' PORT SERVICE_HOSTS; do env "DIPOLED_$o
 ! dipoled: the environment variable DIPOLED_PORT is no option; dipoled --help lists them
 ! dipoled: the environment variable DIPOLED_SERVICE_HOSTS is no option; dipoled --help lists them
 
-$ DIPOLED_MODBUS_READ_ONLY=yes dipoled
-! dipoled: --modbus-read-only is 0 or 1 in the environment, not 'yes'
-! dipoled: the value is that of the environment variable DIPOLED_MODBUS_READ_ONLY
-? 2
-
 ## Addresses.
 $ for one in nonsense '' http://localhost:80 unix: unix:/no/such/folder/s "unix:/$(printf 'x%.0s' $(seq 200))"; do dipoled --listen "$one" || echo $?; done
 1

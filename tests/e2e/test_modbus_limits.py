@@ -261,16 +261,6 @@ WRITES = [
 ]  # fmt: skip
 
 
-def test_read_only(daemon):
-    one = daemon(*TCP, "--modbus-read-only")
-    with Tcp(one) as master:
-        assert master.read(1200, 2) == b"DIPL"
-        for pdu in WRITES:
-            with exception(BAD_FUNCTION):
-                master.ask(pdu)
-        assert master.ask(b"\x11")[1:3] == b"\x01\xff"
-
-
 def test_who_may_write(daemon):
     """--modbus-allow-write is a list within --modbus-allow; everyone may read."""
     one = daemon(*TCP, "--modbus-allow-write", "127.0.0.2", "--modbus-allow-write", "127.0.0.4/30")
@@ -287,17 +277,11 @@ def test_who_may_write(daemon):
             assert one.has_line("event=modbus-request-refused function=23 exception=1")
 
 
-def test_read_only_holds_for_those_who_may_write(daemon):
-    one = daemon(*TCP, "--modbus-allow-write", "127.0.0.1", "--modbus-read-only")
-    with Tcp(one) as master, exception(BAD_FUNCTION):
-        master.write_one(0, 1)
-
-
 # ---- addresses -------------------------------------------------------------------------------------
 
 
 def test_addresses_from_the_environment(daemon):
-    env = {"DIPOLED_MODBUS": "tcp:127.0.0.1:0;tcp:127.0.0.1:0", "DIPOLED_MODBUS_READ_ONLY": "1"}
+    env = {"DIPOLED_MODBUS": "tcp:127.0.0.1:0;tcp:127.0.0.1:0", "DIPOLED_MODBUS_ALLOW_WRITE": "10.0.0.0/8"}
     env["DIPOLED_MODBUS_ALLOW"] = "127.0.0.2,127.0.0.1"
     one = daemon(env=env)
     urls = [url for url in one.urls if url.startswith("modbus-tcp:")]

@@ -54,8 +54,7 @@ void fuzz_modbus(const uint8_t *data, size_t size) {
     return;
   }
   CHECK(socketpair(AF_UNIX, SOCK_STREAM | SOCK_NONBLOCK | SOCK_CLOEXEC, 0, fds) == 0);
-  const struct modbus_permissions may = {.write = true};
-  struct modbus_connection *client = modbus_connection_new(units, fds[0], NULL, &may);
+  struct modbus_connection *client = modbus_connection_new(units, fds[0], NULL, ROLE_ALL);
   stats_add(&fuzz_server.stats, STATS_MODBUS_CONNECTIONS_OPEN, 1);
   worker_give(&fuzz_worker, &client->client);
   struct fuzz_delivery delivery = fuzz_delivery_begin(data, 1);
@@ -110,16 +109,15 @@ static void send_serial(struct serial *line, uint8_t *frame, size_t pdu_bytes) {
 static void answer_serial(struct serial *line, const struct modbus_burst *burst) {
   uint8_t frame[MODBUS_RTU_MAX];
   const size_t bytes = burst->bytes - 3;
-  const struct modbus_permissions may = {.write = true};
   struct modbus_unit *unit = NULL;
   CHECK(modbus_rtu_is_frame(burst->request, burst->bytes) && burst->request[0] <= 1);
   uint8_t *pdu = fuzz_copy(burst->request + 1, bytes);
-  if (burst->request[0] == 0 && !modbus_pdu_writes(pdu[0])) {
+  if (burst->request[0] == 0 && (modbus_pdu_roles(pdu[0]) & ROLE_WRITE) == 0) {
     free(pdu);
     return;
   }
   size_t replied_bytes =
-      modbus_carry_out(units, &line->client, &may, 1, pdu, bytes, frame + 1, &unit);
+      modbus_carry_out(units, &line->client, ROLE_ALL, 1, pdu, bytes, frame + 1, &unit);
   if (unit != NULL && replied_bytes == 0) {
     batch_finish(&fuzz_worker.context.batch, &fuzz_server.stats);
     units->client.kind->finish(&units->client);
