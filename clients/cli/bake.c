@@ -690,14 +690,17 @@ static const struct kind {
   const char *name;
   int (*make)(bake *of);
   bool of_medium;
-  const char *formats; /* with a comma before and behind each */
-} kinds[] = {{"kernel", make_kernel, true, ",c,hlsl,csv,json,"},
-             {"burley", make_burley, true, ",c,csv,json,"},
-             {"gaussians", make_gaussians, true, ",c,csv,json,"},
-             {"lut", make_lut, true, ",c,csv,json,pfm,png,"},
-             {"profile", make_profile, true, ",c,csv,json,pfm,"},
-             {"colour-map", make_colour_map, false, ",c,csv,json,spi1d,cube,png,"},
-             {"formula", NULL, false, ",c,glsl,hlsl,osl,python,"}};
+  const char *formats,
+      *options; /* with a comma before and behind each; options besides the medium */
+} kinds[] = {
+    {"kernel", make_kernel, true, ",c,hlsl,csv,json,", ",taps,range,common,"},
+    {"burley", make_burley, true, ",c,csv,json,", ""},
+    {"gaussians", make_gaussians, true, ",c,csv,json,", ",count,"},
+    {"lut", make_lut, true, ",c,csv,json,pfm,png,", ",size,"},
+    {"profile", make_profile, true, ",c,csv,json,pfm,", ",size,range,"},
+    {"colour-map", make_colour_map, false, ",c,csv,json,spi1d,cube,png,", ",size,light,g,eta,"},
+    {"formula", NULL, false, ",c,glsl,hlsl,osl,python,", ",light,"},
+};
 
 static const struct kind *kind_of(const cli_settings *settings) {
   for (size_t i = 0; settings->operand != NULL && i < sizeof kinds / sizeof kinds[0]; i++) {
@@ -706,6 +709,43 @@ static const struct kind *kind_of(const cli_settings *settings) {
     }
   }
   return NULL;
+}
+
+/* Returns whether a list has a name. */
+static bool lists(const char *list, const char *name) {
+  const char *found = strstr(list, name);
+  return found != NULL && found[-1] == ',' && found[strlen(name)] == ',';
+}
+
+/* Returns CLI_OK if the kind takes each option that is given. */
+static int check_options(const cli_settings *settings, const struct kind *kind) {
+  const bool is_stack = settings->layer.count > 0 || settings->thickness.count > 0;
+  const struct {
+    const char *name;
+    bool given, of_medium;
+  } taken[] = {
+      {"taps", settings->taps.given, false},
+      {"range", settings->range.count > 0, false},
+      {"common", settings->common, false},
+      {"count", settings->count.given, false},
+      {"size", settings->size.given, false},
+      {"light", strcmp(settings->light, "beam") != 0, false},
+      {"g", settings->g.count > 0, true},
+      {"eta", settings->eta.count > 0, true},
+      {"medium", settings->medium.count > 0 || settings->channel.count > 0, true},
+      {"sigma-a, --sigma-s", settings->sigma_a.count > 0 || settings->sigma_s.count > 0, true},
+      {"layer, --thickness", is_stack, true},
+  };
+  for (size_t i = 0; i < sizeof taken / sizeof *taken; i++) {
+    if (taken[i].given && !(taken[i].of_medium && kind->of_medium) &&
+        !lists(kind->options, taken[i].name)) {
+      return cli_fail_usage("--%s: %s takes no such option: leave it out", taken[i].name,
+                            kind->name);
+    }
+  }
+  return !kind->of_medium && (settings->g.count > 1 || settings->eta.count > 1)
+             ? cli_fail_usage("--g, --eta: of %s, one number", kind->name)
+             : CLI_OK;
 }
 
 static bool is_local(const cli_settings *settings) {
@@ -720,12 +760,13 @@ static int check(cli_settings *settings) {
     return cli_fail_usage(
         "give a KIND: kernel, burley, gaussians, lut, profile, colour-map or formula");
   }
-  if (settings->format != NULL) {
-    const char *found = strstr(kind->formats, settings->format);
-    if (found == NULL || found[-1] != ',' || found[strlen(settings->format)] != ',') {
-      return cli_fail_usage("--format %s: %s has %.*s", settings->format, kind->name,
-                            (int)strlen(kind->formats) - 2, kind->formats + 1);
-    }
+  if (settings->format != NULL && !lists(kind->formats, settings->format)) {
+    return cli_fail_usage("--format %s: %s has %.*s", settings->format, kind->name,
+                          (int)strlen(kind->formats) - 2, kind->formats + 1);
+  }
+  const int status = check_options(settings, kind);
+  if (status != CLI_OK) {
+    return status;
   }
   const size_t size = settings->size.value, tap_count = settings->taps.value;
   const size_t size_most = kind->make == make_lut ? SPHERE_MAX : SIDE_MAX;

@@ -23,8 +23,8 @@ enum colour_kind {
 enum length_kind { EXTINCTION, CLASSICAL_LENGTH, SKIN, BURLEY, BLENDER, UNREAL };
 
 /* How --format native writes a material: a text before it, formats of a parameter with three
- * numbers and of one with a single number, and a text after it. Both texts may name an element of
- * MaterialX. */
+ * numbers and of one with a single number, and a text after it. Both texts may name the
+ * element, which is that of MaterialX, or the extension of glTF, in files. */
 typedef struct native_form {
   const char *first, *three, *one, *last, *element;
 } native_form;
@@ -64,7 +64,9 @@ static const native_form form_UNREAL = {
     "profile.set_editor_property(\"%s\", %.9g)\n", "", NULL};
 static const native_form form_UNITY = {"", "%s: {r: %.9g, g: %.9g, b: %.9g, a: 1}\n", "%s: %.9g\n",
                                        "", NULL};
-static const native_form form_GLTF = {0}; /* write_gltf() */
+/* write_gltf() */
+static const native_form form_GLTF = {.element = "KHR_materials_scatter"};
+static const native_form form_GLTF_DRAFT = {.element = "KHR_materials_volume_scatter"};
 
 enum { NAME_COLOUR, NAME_LENGTHS, NAME_FACTOR, NAME_G, NAME_ETA, NAMES };
 
@@ -471,26 +473,33 @@ static void write_three(const native_form *form, const char *name, const double 
 
 /* Writes a glTF material. Its extensions state the extinction by a transmitted colour and the
  * distance at which light has this colour. */
-static void write_gltf(const material *of, const char *scatter, double factor,
+static void write_gltf(const material *of, const char *colour, double factor,
                        const double *lengths) {
-  const bool draft = strcmp(scatter, "KHR_materials_volume_scatter") == 0;
   printf("{\"extensions\": {\n  \"%s\": {\"%s\": [%.9g, %.9g, %.9g], \"scatterAnisotropy\": "
          "%.9g%s},\n",
-         scatter, draft ? "multiscatterColor" : "multiscatterColorFactor", of->colours[0],
-         of->colours[1], of->colours[2], of->media[0].g,
-         draft ? "" : ", \"scatterStrengthFactor\": 1");
+         of->to->form->element, colour, of->colours[0], of->colours[1], of->colours[2],
+         of->media[0].g, of->to->form == &form_GLTF ? ", \"scatterStrengthFactor\": 1" : "");
   printf("  \"KHR_materials_volume\": {\"attenuationDistance\": %.9g, \"attenuationColor\": [%.9g, "
          "%.9g, %.9g]},\n  \"KHR_materials_ior\": {\"ior\": %.9g}}}\n",
          factor, exp(-1 / lengths[0]), exp(-1 / lengths[1]), exp(-1 / lengths[2]),
          of->media[0].eta);
 }
 
-/* Sets the names of a convention's parameters; "" where it has none. */
-static void take_names(const convention *of, const char *names[NAMES]) {
+/* Sets the names of a convention's parameters, "" where it has none, and, unless `usual` is NULL, what
+ * they are in files that do not say it, NULL where files have to. */
+static void take_names(const convention *of, const char *names[NAMES], const char *usual[NAMES]) {
   char *list = cli_copy(of->names, strlen(of->names));
   for (size_t i = 0; i < NAMES; i++) {
-    names[i] = strsep(&list, ",");
+    char *value = strsep(&list, ",");
+    names[i] = strsep(&value, "=");
+    if (usual != NULL) {
+      usual[i] = value;
+    }
   }
+}
+
+static bool is_gltf(const convention *of) {
+  return of->form == &form_GLTF || of->form == &form_GLTF_DRAFT;
 }
 
 /* Returns CLI_OK if native forms can say the media: three channels of one g and eta. */
@@ -509,13 +518,13 @@ static int check_native(const material *of) {
 static void write_native(const material *of) {
   const native_form *form = of->to->form;
   const char *names[NAMES];
-  take_names(of->to, names);
+  take_names(of->to, names, NULL);
   const bool split = names[NAME_FACTOR][0] != '\0';
   const double most = fmax(of->lengths[0], fmax(of->lengths[1], of->lengths[2]));
   const double factor = split ? most : 1;
   const double lengths[] = {of->lengths[0] / factor, of->lengths[1] / factor,
                             of->lengths[2] / factor};
-  if (form == &form_GLTF) {
+  if (is_gltf(of->to)) {
     write_gltf(of, names[NAME_COLOUR], factor, lengths);
     return;
   }
@@ -541,7 +550,7 @@ static void tell_notes(const material *of) {
   if (of->to == NULL) {
     return;
   }
-  take_names(of->to, names);
+  take_names(of->to, names, NULL);
   if (names[NAME_G][0] == '\0' && fabs(of->media[0].g) > 0) {
     cli_say(CLI_OK, "%s cannot say g: its length is that of g %g", of->to->name, of->media[0].g);
   }
@@ -575,46 +584,62 @@ static bool find_convention(const char *option, const char *name, const conventi
   return true;
 }
 
-/* Sets numbers to the values of a parameter, unless they are given or it is not there. */
-static void take_values(const cli_material *of, const char *name, cli_numbers *numbers) {
-  size_t count;
+/* Sets numbers to the values of a parameter. Returns false if it is not there. */
+static bool take_values(const cli_material *of, const char *name, cli_numbers *numbers) {
+  size_t count = 0;
   const double *values = cli_material_find(of, name, &count);
-  if (numbers->count == 0 && values != NULL) {
-    *numbers = (cli_numbers){count, cli_allocate(count, sizeof *values)};
+  *numbers = (cli_numbers){count, cli_allocate(3, sizeof *values)};
+  if (values != NULL) {
     memcpy(numbers->items, values, count * sizeof *values);
   }
+  return values != NULL;
 }
 
 /* Reads FILE and sets what no option gives. Says what is wrong and returns false. */
 static bool read_file(cli_settings *settings, const convention *from) {
+  static const char *const options_of[NAMES] = {"colour", "length", "length", "g", "eta"};
   static cli_material read;
-  const char *file = settings->operand, *names[NAMES];
+  cli_numbers factor = {0}, strength = {0};
+  cli_numbers *const numbers[NAMES] = {&settings->colour, &settings->length, &factor, &settings->g,
+                                       &settings->eta};
+  const char *file = settings->operand, *names[NAMES], *usual[NAMES];
   const native_form *form = from->form;
-  const bool gltf = form == &form_GLTF;
-  if (!gltf && form != &form_PBRT && form->element == NULL) {
-    cli_fail_usage("%s: files are read --from openpbr, materialx, standard-surface, gltf, "
-                   "gltf-volume-scatter and pbrt",
-                   file);
-    return false;
+  const bool has_colour = settings->colour.count > 0, has_length = settings->length.count > 0;
+  if (form != &form_PBRT && form->element == NULL) {
+    return cli_fails_usage("%s: files are read --from openpbr, materialx, standard-surface, gltf, "
+                           "gltf-volume-scatter and pbrt",
+                           file);
   }
-  if (!(gltf                 ? cli_material_read_gltf(file, &read)
+  if (!(is_gltf(from)        ? cli_material_read_gltf(file, form->element, &read)
         : form == &form_PBRT ? cli_material_read_pbrt(file, &read)
                              : cli_material_read_mtlx(file, form->element, &read))) {
     return false;
   }
-  take_names(from, names);
-  cli_numbers factor = {0};
-  const bool has_length = settings->length.count > 0;
-  take_values(&read, names[NAME_FACTOR], &factor);
-  take_values(&read, names[NAME_LENGTHS], &settings->length);
+  take_names(from, names, usual);
+  for (size_t i = 0; i < NAMES; i++) {
+    if (names[i][0] == '\0' || numbers[i]->count > 0 || (i == NAME_FACTOR && has_length)) {
+      continue;
+    }
+    if (usual[i] != NULL) {
+      cli_material_add(&read, names[i], usual[i]);
+    }
+    if (!take_values(&read, names[i], numbers[i])) {
+      return cli_fails("%s: it has no %s: give --%s", file, names[i], options_of[i]);
+    }
+    if (numbers[i]->count == 0) {
+      return cli_fails("%s: %s is connected to a node, or is no number: give --%s", file, names[i],
+                       options_of[i]);
+    }
+  }
   for (size_t i = 0; i < settings->length.count && !has_length; i++) {
     double *length = &settings->length.items[i];
-    *length = (gltf ? -1 / log(*length) : *length) * (factor.count > 0 ? factor.items[0] : 1);
+    *length =
+        (is_gltf(from) ? -1 / log(*length) : *length) * (factor.count > 0 ? factor.items[0] : 1);
   }
-  take_values(&read, gltf ? "multiscatterColorFactor" : names[NAME_COLOUR], &settings->colour);
-  take_values(&read, "multiscatterColor", &settings->colour);
-  take_values(&read, names[NAME_G], &settings->g);
-  take_values(&read, names[NAME_ETA], &settings->eta);
+  take_values(&read, "scatterStrengthFactor", &strength);
+  for (size_t i = 0; i < settings->colour.count && strength.count > 0 && !has_colour; i++) {
+    settings->colour.items[i] *= strength.items[0];
+  }
   return true;
 }
 
@@ -645,12 +670,13 @@ static int check(cli_settings *settings) {
   }
   if (settings->colour.count == 0 ||
       (settings->length.count != 1 && settings->length.count != settings->colour.count)) {
-    return cli_fail_usage("give --colour, and --length for all or each of its channels%s",
-                          settings->operand != NULL ? ": the file has none" : "");
+    return cli_fail_usage("give --colour, and --length for all or each of its channels");
   }
   for (size_t i = 0; i < settings->colour.count; i++) {
     if (!(settings->colour.items[i] >= 0 && settings->colour.items[i] <= 1)) {
-      return cli_fail_usage("--colour: %g is not from 0 to 1", settings->colour.items[i]);
+      return cli_fail_usage("--colour: %g is not from 0 to 1%s", settings->colour.items[i],
+                            settings->colour.items[i] > 1 ? ": divide values of 8 bits by 255"
+                                                          : "");
     }
   }
   for (size_t i = 0; i < settings->length.count; i++) {
@@ -694,6 +720,14 @@ static int run_convert(const cli_settings *settings, dipole_client *client) {
     of.media[i].g = cli_numbers_pick(&settings->g, i, 0);
     of.media[i].eta = cli_numbers_pick(&settings->eta, i, 1.5);
   }
+  const convention *const both[] = {of.from, of.to};
+  for (size_t k = 0; k < 2 * of.count; k++) {
+    const convention *one = both[k % 2];
+    if (one != NULL && (one->colour == WRENNINGE || one->colour == WRENNINGE_FREE) &&
+        of.media[k / 2].g < 0) {
+      return cli_fail_usage("--g: the formula of %s is for g from 0 on", one->name);
+    }
+  }
   if (is_native(settings)) {
     const int status = check_native(&of);
     if (status != CLI_OK) {
@@ -724,11 +758,9 @@ const cli_command cli_command_convert = {
         "`shows` is the colour that light at normal incidence gets back from the medium through "
         "its interface, per power that entered; `as given` is the same if the colours are typed "
         "into the target unconverted. Colours that are written are linear. FILE is a .mtlx, the "
-        "JSON of "
-        "a glTF or of its extensions, or a material of pbrt, and gives what no option does. native "
-        "writes .mtlx, "
-        "JSON of glTF, a line of pbrt, lines of Python for Blender and Unreal, or values of a "
-        "Unity "
+        "JSON of a glTF or of its extensions, or a material of pbrt, and gives what no option "
+        "does; without --eta the index is that of the file, or 1.5. native writes .mtlx, JSON of "
+        "glTF, a line of pbrt, lines of Python for Blender and Unreal, or values of a Unity "
         "asset. The conventions:"
 #undef CONVENTION
 #define CONVENTION(name, COLOUR, LENGTH, unit_mm, FORM, names, source, note) "\n" name ": " source

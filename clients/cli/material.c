@@ -10,10 +10,10 @@
 
 enum { FILE_MAX = 1 << 24 };
 
-/* Adds a parameter unless there is no room or its numbers are not 1 or 3. */
+/* Adds a parameter unless there is no room or the count is not 0, 1 or 3. */
 static void add_parameter(cli_material *of, const char *name, size_t count, const double *values) {
   if (of->count < CLI_MATERIAL_MAX && strlen(name) < CLI_MATERIAL_BYTES &&
-      (count == 1 || count == 3)) {
+      (count == 0 || count == 1 || count == 3)) {
     strcpy(of->items[of->count].name, name);
     of->items[of->count].count = count;
     memcpy(of->items[of->count].values, values, count * sizeof *values);
@@ -47,6 +47,15 @@ static size_t read_numbers(const char *text, char last, double values[3]) {
   return count;
 }
 
+void cli_material_add(cli_material *of, const char *name, const char *numbers) {
+  double values[3];
+  size_t count;
+  if (cli_material_find(of, name, &count) == NULL) {
+    count = read_numbers(numbers, '\0', values);
+    add_parameter(of, name, count, values);
+  }
+}
+
 /* Returns a whole file as a text; NULL if it cannot be read. */
 static char *read_text(const char *file) {
   FILE *from = strcmp(file, "-") == 0 ? stdin : fopen(file, "rbe");
@@ -54,6 +63,9 @@ static char *read_text(const char *file) {
   const size_t bytes = from != NULL ? fread(text, 1, FILE_MAX, from) : 0;
   if (from == NULL || ferror(from) != 0) {
     cli_fail("cannot read %s: %s", file, strerror(errno));
+    text = NULL;
+  } else if (bytes == 0) {
+    cli_fail("%s is empty", file);
     text = NULL;
   } else if (bytes == FILE_MAX || strlen(text) < bytes) {
     cli_fail("%s: it is larger than 16 MiB, or no text", file);
@@ -89,9 +101,9 @@ static void on_element(void *context, const XML_Char *name, const XML_Char **att
     srgb = srgb || (strcmp(attributes[i], "colorspace") == 0 &&
                     strcmp(attributes[i + 1], "srgb_texture") == 0);
   }
-  if (input != NULL && value != NULL) {
+  if (input != NULL) { /* without a value it is connected to a node */
     double values[3];
-    const size_t count = read_numbers(value, '\0', values);
+    const size_t count = value != NULL ? read_numbers(value, '\0', values) : 0;
     for (size_t i = 0; srgb && i < count; i++) {
       values[i] = cli_srgb_to_linear(values[i]);
     }
@@ -121,7 +133,7 @@ bool cli_material_read_mtlx(const char *file, const char *element, cli_material 
     cli_fail("%s: line %lu: %s", file, XML_GetCurrentLineNumber(parser),
              XML_ErrorString(XML_GetErrorCode(parser)));
   } else if (!reading.done) {
-    cli_fail("%s: it has no element %s", file, element);
+    cli_fail("%s: it has no element %s, which this --from reads", file, element);
     good = false;
   }
   XML_ParserFree(parser);
@@ -130,24 +142,31 @@ bool cli_material_read_mtlx(const char *file, const char *element, cli_material 
 
 /* ---- glTF ------------------------------------------------------------------------------------ */
 
-bool cli_material_read_gltf(const char *file, cli_material *of) {
+bool cli_material_read_gltf(const char *file, const char *extension, cli_material *of) {
   char *text = read_text(file);
   const char *name;
   json_error_t error;
   json_t *root = text != NULL ? json_loads(text, JSON_REJECT_DUPLICATES, &error) : NULL;
-  json_t *extension, *value;
   if (root == NULL) {
     if (text != NULL) {
       cli_fail("%s: line %d: %s", file, error.line, error.text);
     }
     return false;
   }
-  json_t *materials = json_object_get(root, "materials");
-  json_t *all =
-      json_object_get(materials != NULL ? json_array_get(materials, 0) : root, "extensions");
-  const char *extension_name;
-  json_object_foreach(all, extension_name, extension) {
-    json_object_foreach(extension, name, value) {
+  json_t *materials = json_object_get(root, "materials"), *part, *value;
+  json_t *all = json_object_get(root, "extensions");
+  for (size_t i = 0; i < json_array_size(materials) && json_object_get(all, extension) == NULL;
+       i++) {
+    all = json_object_get(json_array_get(materials, i), "extensions");
+  }
+  if (json_object_get(all, extension) == NULL) {
+    cli_fail("%s: no material has the extension %s", file, extension);
+    json_decref(root);
+    return false;
+  }
+  const char *part_name;
+  json_object_foreach(all, part_name, part) {
+    json_object_foreach(part, name, value) {
       double values[3] = {json_number_value(value)};
       for (size_t i = 0; i < 3 && i < json_array_size(value); i++) {
         values[i] = json_number_value(json_array_get(value, i));
@@ -163,8 +182,11 @@ bool cli_material_read_gltf(const char *file, cli_material *of) {
 
 /* Parameters are "type name" and a value or several in brackets. */
 bool cli_material_read_pbrt(const char *file, cli_material *of) {
-  char *text = read_text(file);
-  for (char *at = text; at != NULL && (at = strchr(at, '"')) != NULL;) {
+  char *text = read_text(file), *const first = text != NULL ? strstr(text, "\"subsurface\"") : NULL;
+  if (text != NULL && first == NULL) {
+    cli_fail("%s: it has no material \"subsurface\"", file);
+  }
+  for (char *at = first; at != NULL && (at = strchr(at, '"')) != NULL;) {
     char *const end = strchr(at + 1, '"'), *name;
     if (end == NULL) {
       break;
@@ -181,5 +203,5 @@ bool cli_material_read_pbrt(const char *file, cli_material *of) {
       add_parameter(of, name + 1, count, values);
     }
   }
-  return text != NULL;
+  return first != NULL;
 }

@@ -103,7 +103,12 @@ $ dipole bake colour-map --size 16 --format spi1d --eta 1.5 --light furnace
 ! `dipole bake --help` says more.
 ? 2
 
-$ for one in kernel 'halo --medium skin1' 'kernel --medium skin1 --taps 12' 'gaussians --medium skin1 --count 13' 'kernel --medium skin1 --range 0' 'colour-map --size 2' 'lut --medium skin1 --size 129' 'profile --medium skin1 --range 1,2,3'; do dipole bake $one || echo $?; done
+$ for one in kernel 'halo --medium skin1' 'kernel --medium skin1 --taps 12' 'gaussians --medium skin1 --count 13' 'kernel --medium skin1 --range 0' 'colour-map --size 2' 'lut --medium skin1 --size 129' 'profile --medium skin1 --range 1,2,3' 'formula --eta 1.9' 'colour-map --medium skin1' 'kernel --medium skin1 --size 32' 'burley --medium skin1 --light diffuse' 'colour-map --eta 1.4,1.5'; do dipole bake $one || echo $?; done
+2
+2
+2
+2
+2
 2
 2
 2
@@ -127,6 +132,16 @@ $ for one in kernel 'halo --medium skin1' 'kernel --medium skin1 --taps 12' 'gau
 ! dipole bake: --size: of lut, 16 to 128
 ! `dipole bake --help` says more.
 ! dipole bake: --range: one for all channels, or of kernel one for each of three
+! `dipole bake --help` says more.
+! dipole bake: --eta: formula takes no such option: leave it out
+! `dipole bake --help` says more.
+! dipole bake: --medium: colour-map takes no such option: leave it out
+! `dipole bake --help` says more.
+! dipole bake: --size: kernel takes no such option: leave it out
+! `dipole bake --help` says more.
+! dipole bake: --light: burley takes no such option: leave it out
+! `dipole bake --help` says more.
+! dipole bake: --g, --eta: of colour-map, one number
 ! `dipole bake --help` says more.
 
 $ for one in 'kernel --medium skin1 --format cube' 'formula --format cube' 'lut --medium skin1 --format osl' 'burley --medium skin1 --format pfm'; do dipole bake $one || echo $?; done

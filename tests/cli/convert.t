@@ -112,7 +112,12 @@ $ dipole convert --from openpbr --colour .5
 ? 2
 
 $ dipole convert --from openpbr --colour 1.5 --length 1
-! dipole convert: --colour: 1.5 is not from 0 to 1
+! dipole convert: --colour: 1.5 is not from 0 to 1: divide values of 8 bits by 255
+! `dipole convert --help` says more.
+? 2
+
+$ dipole convert --from openpbr --colour .5 --length 1 --g -.1 --to appleseed-glass
+! dipole convert: --g: the formula of appleseed-glass is for g from 0 on
 ! `dipole convert --help` says more.
 ? 2
 

@@ -138,8 +138,17 @@ def test_files_of_others(tmp_path):
     assert rows[0]["g"] == 0.2 and rows[0]["eta"] == 1.4
     rows = read("pbrt", PBRT)
     assert [row["shown"] for row in rows] == pytest.approx([0.5, 0.4, 0.3])
-    rows = read("pbrt", PBRT.replace("[1 2 3]", "[2]").replace('"string name"', '"float g" [] "string name"'))
+    rows = read("pbrt", PBRT.replace("[1 2 3]", "[2]"))
     assert [1 / (row["sigma_a"] + row["sigma_s"]) for row in rows] == pytest.approx([2, 2, 2])
+    rows = read("pbrt", 'Material "diffuse" "rgb mfp" [9 9 9] Material "subsurface" "rgb reflectance" [.5 .4 .3]')
+    assert [1 / (row["sigma_a"] + row["sigma_s"]) for row in rows] == pytest.approx([1, 1, 1]) and rows[0]["eta"] == 1.33
+    rows = read("gltf", GLTF.replace('"scatterAnisotropy"', '"scatterStrengthFactor": 0.5, "scatterAnisotropy"')
+                .replace('[{"extensions"', '[{}, {"extensions"'))  # fmt: skip
+    given = ["--colour", "0.25,0.25,0.25", "--length", "1", "--g", "0.2", "--eta", "1.4"]
+    assert [row["scattered"] for row in rows] == pytest.approx(
+        [row["scattered"] for row in convert("--from", "gltf", *given)])
+    rows = read("openpbr", '<m><open_pbr_surface><input name="subsurface_color" value=".4,.4,.4"/></open_pbr_surface></m>')
+    assert [1 / (row["sigma_a"] + row["sigma_s"]) for row in rows] == pytest.approx([1, 0.5, 0.25])
     (row,) = read("gltf", GLTF.replace("[0.5, 0.5, 0.5]", "[0.5]").replace("[0.36787944, 0.5, 0.9]", "[0.36787944]"))
     assert 1 / (row["sigma_a"] + row["sigma_s"]) == pytest.approx(1)
 
@@ -153,8 +162,14 @@ def test_native_forms_need_three_channels():
 @pytest.mark.parametrize("name", ["openpbr", "gltf", "pbrt"])
 def test_broken_files_are_refused(tmp_path, name):
     """Files that end early, and one that is not there."""
-    text, status = {"openpbr": (MTLX, 1), "gltf": (GLTF, 1), "pbrt": (PBRT[:45], 2)}[name]
+    text = {"openpbr": MTLX, "gltf": GLTF, "pbrt": PBRT[:45]}[name]
     for length in range(0, len(text) - 1, 23):
         (tmp_path / "part").write_text(text[:length])
-        dipole("convert", "--from", name, str(tmp_path / "part"), status=status)
+        dipole("convert", "--from", name, str(tmp_path / "part"), status=1)
+    wrong = {"openpbr": (MTLX.replace('value="0.735357, 0.5, 0.2"', 'nodegraph="NG"'), "connected to a node"),
+             "gltf": (GLTF.replace("_scatter", "_sheen"), "no material has the extension"),
+             "pbrt": (PBRT.replace("[ .5 .4 .3 ]", "[]"), "reflectance is")}[name]  # fmt: skip
+    for text, says in wrong, ("", "is empty"):
+        (tmp_path / "wrong").write_text(text)
+        assert says in dipole("convert", "--from", name, str(tmp_path / "wrong"), status=1).stderr
     assert "cannot read" in dipole("convert", "--from", name, str(tmp_path / "none"), status=1).stderr
