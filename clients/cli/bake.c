@@ -690,16 +690,15 @@ static const struct kind {
   const char *name;
   int (*make)(bake *of);
   bool of_medium;
-  const char *formats,
-      *options; /* with a comma before and behind each; options besides the medium */
+  const char *formats, *options; /* options: besides the medium's */
 } kinds[] = {
-    {"kernel", make_kernel, true, ",c,hlsl,csv,json,", ",taps,range,common,"},
-    {"burley", make_burley, true, ",c,csv,json,", ""},
-    {"gaussians", make_gaussians, true, ",c,csv,json,", ",count,"},
-    {"lut", make_lut, true, ",c,csv,json,pfm,png,", ",size,"},
-    {"profile", make_profile, true, ",c,csv,json,pfm,", ",size,range,"},
-    {"colour-map", make_colour_map, false, ",c,csv,json,spi1d,cube,png,", ",size,light,g,eta,"},
-    {"formula", NULL, false, ",c,glsl,hlsl,osl,python,", ",light,"},
+    {"kernel", make_kernel, true, "c,hlsl,csv,json", "taps,range,common"},
+    {"burley", make_burley, true, "c,csv,json", ""},
+    {"gaussians", make_gaussians, true, "c,csv,json", "count"},
+    {"lut", make_lut, true, "c,csv,json,pfm,png", "size"},
+    {"profile", make_profile, true, "c,csv,json,pfm", "size,range"},
+    {"colour-map", make_colour_map, false, "c,csv,json,spi1d,cube,png", "size,light,g,eta"},
+    {"formula", NULL, false, "c,glsl,hlsl,osl,python", "light"},
 };
 
 static const struct kind *kind_of(const cli_settings *settings) {
@@ -709,12 +708,6 @@ static const struct kind *kind_of(const cli_settings *settings) {
     }
   }
   return NULL;
-}
-
-/* Returns whether a list has a name. */
-static bool lists(const char *list, const char *name) {
-  const char *found = strstr(list, name);
-  return found != NULL && found[-1] == ',' && found[strlen(name)] == ',';
 }
 
 /* Returns CLI_OK if the kind takes each option that is given. */
@@ -738,7 +731,7 @@ static int check_options(const cli_settings *settings, const struct kind *kind) 
   };
   for (size_t i = 0; i < sizeof taken / sizeof *taken; i++) {
     if (taken[i].given && !(taken[i].of_medium && kind->of_medium) &&
-        !lists(kind->options, taken[i].name)) {
+        !cli_in_list(kind->options, taken[i].name)) {
       return cli_fail_usage("--%s: %s takes no such option: leave it out", taken[i].name,
                             kind->name);
     }
@@ -760,9 +753,8 @@ static int check(cli_settings *settings) {
     return cli_fail_usage(
         "give a KIND: kernel, burley, gaussians, lut, profile, colour-map or formula");
   }
-  if (settings->format != NULL && !lists(kind->formats, settings->format)) {
-    return cli_fail_usage("--format %s: %s has %.*s", settings->format, kind->name,
-                          (int)strlen(kind->formats) - 2, kind->formats + 1);
+  if (settings->format != NULL && !cli_in_list(kind->formats, settings->format)) {
+    return cli_fail_usage("--format %s: %s has %s", settings->format, kind->name, kind->formats);
   }
   const int status = check_options(settings, kind);
   if (status != CLI_OK) {

@@ -274,7 +274,7 @@ static const char *take_value(const cli_option *option, const char *text, bool g
 
 /* ---- the command line ------------------------------------------------------------------------ */
 
-static bool in_list(const char *list, const char *name) {
+bool cli_in_list(const char *list, const char *name) {
   const size_t length = strlen(name);
   for (const char *at = list; length > 0 && (at = strstr(at, name)) != NULL; at++) {
     if ((at == list || at[-1] == ',') && (at[length] == ',' || at[length] == '\0')) {
@@ -317,7 +317,7 @@ static int finish_options(int argc, char **argv, cli_settings *settings) {
   if (argc - optind > operands) {
     return cli_fail_usage("'%s' is one argument too many: leave it out", argv[optind + operands]);
   }
-  if (settings->format != NULL && !in_list(command->formats, settings->format)) {
+  if (settings->format != NULL && !cli_in_list(command->formats, settings->format)) {
     char formats[FORMATS_BYTES];
     say_formats(command, formats);
     return cli_fail_usage("--format %s: %s", settings->format, formats);

@@ -47,6 +47,9 @@ static inline const char *cli_first(const cli_texts *texts) {
 /* Returns the numbers as an array of double, or of float. */
 const void *cli_numbers_in(const cli_numbers *numbers, bool single);
 
+/* Returns whether a list of names with commas between them has a name. */
+bool cli_in_list(const char *list, const char *name);
+
 /* Returns whether `text` is one of the texts. */
 bool cli_texts_have(const cli_texts *texts, const char *text);
 
