@@ -19,25 +19,27 @@ enum {
   SIDES = TRANSPORT_TABLE_SIDES,
   TOTALS_MAX = 2,                   /* totals of one side of eta */
   SERIES_MAX = TOTALS_MAX + PANELS, /* series of one side of eta */
-  LANES = 4,                        /* number of coefficients that are summed in parallel */
+  LANES = 4,                        /* number of coefficients of a group */
+  GROUPS_MAX = TERMS_MAX / LANES,
+  BLOCKS_MAX = TERMS_MAX * TERMS_MAX, /* of one i: with each l and j */
 };
 
-/* A block: the coefficients that share all indices but the innermost, padded with zeros to a
- * multiple of LANES. */
-struct block {
-  uint32_t at;     /* index of the first coefficient */
-  uint16_t weight; /* index of the block's weight: l TERMS_MAX + j for a panel, l for a total */
-  uint16_t groups; /* number of groups of LANES coefficients */
-};
+typedef int32_t group __attribute__((vector_size(LANES * sizeof(int32_t))));
+typedef double lanes __attribute__((vector_size(LANES * sizeof(double))));
+typedef double pair __attribute__((vector_size(2 * sizeof(double))));
 
 /* A series in the order of summation. The outermost index i is that of the albedo. The innermost is
- * k for a panel, and j for a total. */
+ * k for a panel, and j for a total. The coefficients that share all indices but the innermost are a
+ * block, padded with zeros to groups of LANES. The blocks of each i are sorted by their number of
+ * groups, the longest first, and an empty one makes their number even. The groups are stored by i,
+ * then by their place in the block, then by block. */
 struct packed {
-  size_t terms;                /* of k */
-  size_t of_albedo;            /* of i */
-  size_t first[TERMS_MAX + 1]; /* index of the first block of each i */
-  struct block *block;
-  int32_t *coefficient;
+  size_t terms;            /* of k for a panel, of j for a total */
+  size_t of_albedo;        /* of i */
+  size_t first[TERMS_MAX]; /* index of the weight of the first block of each i */
+  uint16_t *weight;        /* of each block: l TERMS_MAX + j for a panel, l for a total */
+  uint32_t at[TERMS_MAX][GROUPS_MAX + 1]; /* where the groups of each i and place begin, and end */
+  group *groups;
 };
 
 /* All series of both sides of eta: of isotropic scattering, then of D; the totals before the
@@ -171,13 +173,13 @@ static size_t number_of_totals(int side) {
 }
 
 /* Reads a series of one side. count[]: the number of coefficients of the block with each
- * combination of the indices i, l and j (panels) or i and l (totals). A call with position NULL
- * sets count[]. Another call stores the coefficients, those of each block from its position[]
- * on. */
+ * combination of the indices i, l and j (panels) or i and l (totals). A call with rank NULL sets
+ * count[]. Another call stores the coefficients, where rank[] is each block's place among those of
+ * its i. */
 static void read_series(const uint8_t **at, bool of_g, bool is_total, struct packed *series,
-                        uint8_t *count, const uint32_t *position) {
-  series->terms = read_count(at);
-  for (size_t k = 0; k < series->terms; k++) {
+                        uint8_t *count, const uint16_t *rank) {
+  const size_t of_y = read_count(at);
+  for (size_t k = 0; k < of_y; k++) {
     const size_t of_g_terms = of_g ? read_count(at) : 1;
     for (size_t l = 0; l < of_g_terms; l++) {
       const size_t of_albedo = read_count(at);
@@ -187,11 +189,12 @@ static void read_series(const uint8_t **at, bool of_g, bool is_total, struct pac
         for (size_t j = 0; j < of_v; j++) {
           const int32_t c = read_integer(at);
           const size_t inner = is_total ? j : k;
+          series->terms = inner < series->terms ? series->terms : inner + 1;
           const size_t block = (i * TERMS_MAX + l) * TERMS_MAX + (is_total ? 0 : j);
-          if (position == NULL) {
+          if (rank == NULL) {
             count[block] = (uint8_t)(inner + 1);
           } else {
-            series->coefficient[position[block] + inner] = c;
+            series->groups[series->at[i][inner / LANES] + rank[block]][inner % LANES] = c;
           }
         }
       }
@@ -199,52 +202,66 @@ static void read_series(const uint8_t **at, bool of_g, bool is_total, struct pac
   }
 }
 
+/* Sorts the blocks of one i by count[] and sets rank[]. blocks: the number of those of smaller i.
+ * *groups: the number of their groups, to which those of this i are added. Returns the number of blocks,
+ * made even. */
+static size_t sort_blocks(struct packed *series, size_t i, bool is_total, const uint8_t *count,
+                          uint16_t *rank, size_t blocks, size_t *groups) {
+  size_t longer[GROUPS_MAX + 1] = {0}; /* number of blocks with more groups than the index */
+  for (size_t b = 0; b < BLOCKS_MAX; b++) {
+    for (size_t place = 0; place * LANES < count[b]; place++) {
+      longer[place]++;
+    }
+  }
+  series->first[i] = blocks;
+  for (size_t place = 0; place <= GROUPS_MAX; place++) {
+    series->at[i][place] = (uint32_t)*groups;
+    *groups += longer[place] + longer[place] % 2;
+  }
+  const size_t number = longer[0] + longer[0] % 2;
+  for (size_t b = 0; b < BLOCKS_MAX; b++) {
+    if (count[b] > 0) {
+      rank[b] = (uint16_t)longer[(count[b] + LANES - 1u) / LANES]++;
+      series->weight[blocks + rank[b]] = (uint16_t)(is_total ? b / TERMS_MAX : b);
+    }
+  }
+  return number;
+}
+
 /* Allocates a series and sets its blocks from count[]. Returns false if memory runs out. */
-static bool lay_blocks(struct packed *series, bool is_total, const uint8_t *count,
-                       uint32_t *position) {
-  const size_t of_one = (size_t)TERMS_MAX * TERMS_MAX;
-  size_t blocks = 0, coefficients = 0;
-  for (size_t b = 0; b < series->of_albedo * of_one; b++) {
+static bool lay_blocks(struct packed *series, bool is_total, const uint8_t *count, uint16_t *rank) {
+  size_t blocks = series->of_albedo, groups = 0;
+  for (size_t b = 0; b < series->of_albedo * BLOCKS_MAX; b++) {
     blocks += count[b] > 0;
   }
-  series->block = malloc((blocks + 1) * sizeof *series->block);
+  series->weight = calloc(blocks + 1, sizeof *series->weight);
   blocks = 0;
-  for (size_t b = 0; series->block != NULL && b < series->of_albedo * of_one; b++) {
-    if (b % of_one == 0) {
-      series->first[b / of_one] = blocks;
-    }
-    if (count[b] > 0) {
-      const size_t groups = (count[b] + LANES - 1u) / LANES, weight = b % of_one;
-      position[b] = (uint32_t)coefficients;
-      series->block[blocks++] =
-          (struct block){(uint32_t)coefficients, (uint16_t)(is_total ? weight / TERMS_MAX : weight),
-                         (uint16_t)groups};
-      coefficients += groups * LANES;
-    }
+  for (size_t i = 0; series->weight != NULL && i < series->of_albedo; i++) {
+    const size_t b = i * BLOCKS_MAX;
+    blocks += sort_blocks(series, i, is_total, &count[b], &rank[b], blocks, &groups);
   }
-  series->first[series->of_albedo] = blocks;
-  series->coefficient = calloc(coefficients + 1, sizeof *series->coefficient);
-  return series->block != NULL && series->coefficient != NULL;
+  series->groups = calloc(groups + 1, sizeof *series->groups);
+  return series->weight != NULL && series->groups != NULL;
 }
 
 /* Reads all series of one side. Returns false if memory runs out. */
 static bool pack_side(const uint8_t **at, int side, struct packed series[SERIES_MAX]) {
-  const size_t most = (size_t)TERMS_MAX * TERMS_MAX * TERMS_MAX, totals = number_of_totals(side);
+  const size_t most = (size_t)BLOCKS_MAX * TERMS_MAX, totals = number_of_totals(side);
   uint8_t *count = malloc(most);
-  uint32_t *position = malloc(most * sizeof *position);
-  bool good = count != NULL && position != NULL;
+  uint16_t *rank = malloc(most * sizeof *rank);
+  bool good = count != NULL && rank != NULL;
   for (size_t n = 0; n < totals + PANELS && good; n++) {
     const bool is_total = n < totals;
     const uint8_t *again = *at;
     memset(count, 0, most);
     read_series(at, side >= SIDES, is_total, &series[n], count, NULL);
-    good = lay_blocks(&series[n], is_total, count, position);
+    good = lay_blocks(&series[n], is_total, count, rank);
     if (good) {
-      read_series(&again, side >= SIDES, is_total, &series[n], count, position);
+      read_series(&again, side >= SIDES, is_total, &series[n], count, rank);
     }
   }
   free(count);
-  free(position);
+  free(rank);
   return good;
 }
 
@@ -274,8 +291,8 @@ bool transport_table_open(transport_table *table, const uint8_t *bytes, size_t l
 void transport_table_close(transport_table *table) {
   for (int side = 0; table->packed != NULL && side < 2 * SIDES; side++) {
     for (int n = 0; n < SERIES_MAX; n++) {
-      free(table->packed->series[side][n].block);
-      free(table->packed->series[side][n].coefficient);
+      free(table->packed->series[side][n].weight);
+      free(table->packed->series[side][n].groups);
     }
   }
   free(table->packed);
@@ -438,16 +455,22 @@ static void set_weights(const double *field, bool of_difference, double g, doubl
 
 /* Sets sum[] to the weighted sum of all blocks with the albedo's index i. */
 static void sum_blocks(const struct packed *series, size_t i, const double *weight, double *sum) {
-  memset(sum, 0, TERMS_MAX * sizeof *sum);
-  for (size_t b = series->first[i]; b < series->first[i + 1]; b++) {
-    const struct block *block = &series->block[b];
-    const int32_t *c = &series->coefficient[block->at];
-    const double factor = weight[block->weight];
-    for (size_t group = 0; group < block->groups; group++) {
-      for (size_t k = 0; k < LANES; k++) {
-        sum[group * LANES + k] += factor * c[group * LANES + k];
+  const uint32_t *at = series->at[i];
+  const uint16_t *blocks = &series->weight[series->first[i]];
+  for (size_t place = 0; place * LANES < series->terms; place++) {
+    const group *groups = &series->groups[at[place]];
+    pair low[2] = {{0}}, high[2] = {{0}};
+    for (size_t b = 0; b < at[place + 1] - at[place]; b += 2) {
+      for (int k = 0; k < 2; k++) {
+        const lanes c = __builtin_convertvector(groups[b + k], lanes);
+        low[k] += weight[blocks[b + k]] * __builtin_shufflevector(c, c, 0, 1);
+        high[k] += weight[blocks[b + k]] * __builtin_shufflevector(c, c, 2, 3);
       }
     }
+    low[0] += low[1];
+    high[0] += high[1];
+    memcpy(&sum[place * LANES], &low, sizeof *low);
+    memcpy(&sum[place * LANES + 2], &high, sizeof *high);
   }
 }
 
@@ -489,7 +512,7 @@ static void sum_row(const struct part *part, size_t n, size_t i, double row[TERM
   sum_blocks(series, i, is_total ? weights->of_l : weights->both, row);
   if (is_total) {
     double sum = 0;
-    for (size_t j = 0; j < TERMS_MAX; j++) {
+    for (size_t j = 0; j < series->terms; j++) {
       sum += row[j] * weights->of_v[j];
     }
     row[0] = sum;
