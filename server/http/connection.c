@@ -11,10 +11,10 @@
 #include "server/http/page.h"
 #include "server/http/reply.h"
 #include "server/http/request.h"
+#include "server/jobs/points.h"
 #include "server/jobs/run.h"
 #include "server/net/worker.h"
 #include "server/observe/health.h"
-#include "server/store/points.h"
 
 enum {
   HEADER_BYTES = 1024, /* of the library's memory for one connection, beside the URI */

@@ -13,13 +13,11 @@ static struct stats *stats_of(const struct eval_job *eval) {
   return &eval->job.context->server->stats;
 }
 
-static bool is_sample(const struct eval_job *eval) {
-  return eval->draw_radii != NULL;
-}
-
 /* ---- checking -------------------------------------------------------------------------------- */
 
-wire_error eval_job_check_media(struct eval_job *eval, core_radii_range *radii) {
+/* Checks the media. Sets *radii to the range in which all channels can be evaluated, and covers_all to
+ * whether it has all radii. */
+static wire_error check_media(struct eval_job *eval, core_radii_range *radii) {
   const wire_eval_request *fixed = &eval->request.fixed;
   const uint64_t most = eval->job.context->server->options.max_media;
   if (fixed->medium_count > most) {
@@ -112,12 +110,13 @@ static wire_error check_radii(struct eval_job *eval) {
   return error;
 }
 
-unsigned eval_job_wanted(const struct eval_job *eval) {
-  return eval->request.fixed.wanted | (is_sample(eval) ? EVAL_DRAWN : 0);
+/* Returns the bits of all wanted quantities, as proto/eval.h defines them. */
+static unsigned wanted_of(const struct eval_job *eval) {
+  return eval->request.fixed.wanted | (eval->drawn ? EVAL_DRAWN : 0);
 }
 
 static const char *count_field(const struct eval_job *eval) {
-  return is_sample(eval) ? "sample_count" : "radius_count";
+  return eval->drawn ? "sample_count" : "radius_count";
 }
 
 /* Reads the payload and checks the fields on which its layout depends. */
@@ -126,7 +125,7 @@ static wire_error parse_request(struct eval_job *eval, const struct job_request 
       eval_request_parse(request->payload, request->header->payload_bytes, &eval->request);
   if (error.status == WIRE_STATUS_OK) {
     const wire_eval_request *fixed = &eval->request.fixed;
-    eval->draw_radii = NULL;
+    eval->drawn = false;
     eval->value_bytes = core_evaluator_bytes(fixed->evaluator);
     eval->choice = (struct choice_state){.tolerance = (double)NAN};
     eval->grid =
@@ -158,7 +157,7 @@ wire_error eval_job_offers(struct eval_job *eval, const struct job_request *requ
 /* Computes the layout of the current part. Returns false if the part would exceed max_bytes. */
 static bool lay_out_part(struct eval_job *eval, uint64_t max_bytes) {
   const wire_eval_request *fixed = &eval->request.fixed;
-  return eval_reply_layout(fixed->evaluator, eval_job_wanted(eval), fixed->medium_count,
+  return eval_reply_layout(fixed->evaluator, wanted_of(eval), fixed->medium_count,
                            eval->parts.count, max_bytes, &eval->layout);
 }
 
@@ -166,7 +165,7 @@ static bool lay_out_part(struct eval_job *eval, uint64_t max_bytes) {
  * media would fit, or that even one does not. */
 static wire_error no_room_in_part(const struct eval_job *eval, uint64_t most_bytes) {
   const unsigned evaluator = eval->request.fixed.evaluator;
-  const unsigned wanted = eval_job_wanted(eval);
+  const unsigned wanted = wanted_of(eval);
   uint32_t media = 0;
   while (eval_part_radii(evaluator, wanted, media + 1, most_bytes) > 0) {
     media++;
@@ -190,7 +189,7 @@ static wire_error cut_reply(struct eval_job *eval, const struct options *options
   }
   const uint64_t most_bytes = options->max_part_bytes;
   const uint64_t most =
-      eval_part_radii(fixed->evaluator, eval_job_wanted(eval), fixed->medium_count, most_bytes);
+      eval_part_radii(fixed->evaluator, wanted_of(eval), fixed->medium_count, most_bytes);
   if (most == 0) {
     return no_room_in_part(eval, most_bytes);
   }
@@ -213,7 +212,7 @@ static wire_error check_request(struct eval_job *eval, const struct job_request 
   }
   core_radii_range range;
   if (error.status == WIRE_STATUS_OK) {
-    error = eval_job_check_media(eval, &range);
+    error = check_media(eval, &range);
   }
   if (error.status == WIRE_STATUS_OK &&
       isnan(eval->choice.tolerance)) { /* A request with a tolerance has been checked. */
@@ -225,32 +224,61 @@ static wire_error check_request(struct eval_job *eval, const struct job_request 
   return error;
 }
 
+static wire_error check_numbers(const struct eval_job *eval) {
+  core_fault fault = core_draw_check(&eval->draw);
+  if (fault.field != NULL && strcmp(fault.field, "sample_count") == 0) {
+    return wire_error_make(WIRE_STATUS_BAD_COUNT, fault.field, fault.allowed);
+  }
+  if (fault.field == NULL && eval->request.radii != NULL) {
+    const uint64_t count = eval->request.fixed.radius_count;
+    fault = eval->value_bytes == sizeof(float)
+                ? core_numbers_check_f32(count, eval->request.radii)
+                : core_numbers_check_f64(count, eval->request.radii);
+  }
+  return job_error(fault);
+}
+
+/* Checks a sample request. Any radius may be drawn, so the model must cover all radii. */
+static wire_error check_sample(struct eval_job *eval) {
+  core_radii_range range;
+  /* Any radius may be drawn, 0 included, and the model error at 0 is known only for transport. */
+  eval->radii = (core_radii_range){0, 0};
+  const wire_error error = check_media(eval, &range);
+  if (error.status != WIRE_STATUS_OK) {
+    return error;
+  }
+  return eval->covers_all
+             ? check_numbers(eval)
+             : wire_error_make(WIRE_STATUS_BAD_VALUE, "model", "a model that covers all radii");
+}
+
 /* ---- evaluating a slice ---------------------------------------------------------------------- */
 
 /* Fills the end of an array, behind all its values, with zero bytes. */
 static void pad_array(const struct eval_job *eval, uint64_t array_offset) {
-  const size_t used = (size_t)eval->parts.count * eval_job_value_bytes(eval);
+  const size_t used = (size_t)eval->parts.count * eval->value_bytes;
   memset(eval->reply + array_offset + used, 0, (size_t)eval->layout.array_bytes - used);
 }
 
 static void expand_grid(const struct eval_job *eval, size_t n, void *radii) {
-  if (eval_job_value_bytes(eval) == sizeof(float)) {
+  if (eval->value_bytes == sizeof(float)) {
     core_grid_radii_f32(&eval->grid, eval->parts.first + eval->index, n, radii);
   } else {
     core_grid_radii_f64(&eval->grid, eval->parts.first + eval->index, n, radii);
   }
 }
 
-const uint8_t *eval_job_listed(const struct eval_job *eval) {
+/* Returns the address of the next listed radius, or of the next listed number u of a sample. */
+static const uint8_t *listed_radii(const struct eval_job *eval) {
   return (const uint8_t *)eval->request.radii +
-         (size_t)(eval->parts.first + eval->index) * eval_job_value_bytes(eval);
+         (size_t)(eval->parts.first + eval->index) * eval->value_bytes;
 }
 
 static void copy_radii(const struct eval_job *eval, size_t n) {
-  const size_t offset = (size_t)eval->index * eval_job_value_bytes(eval);
+  const size_t offset = (size_t)eval->index * eval->value_bytes;
   uint8_t *to = eval->reply + eval->layout.radius_offset + offset;
   if (eval->request.radii != NULL) {
-    memcpy(to, eval_job_listed(eval), n * eval_job_value_bytes(eval));
+    memcpy(to, listed_radii(eval), n * eval->value_bytes);
   } else {
     expand_grid(eval, n, to);
   }
@@ -259,9 +287,9 @@ static void copy_radii(const struct eval_job *eval, size_t n) {
 /* Returns the next n radii: those in the request or in the reply, or else computed from the grid.
  */
 static const void *slice_radii(const struct eval_job *eval, size_t n) {
-  const size_t offset = (size_t)eval->index * eval_job_value_bytes(eval);
+  const size_t offset = (size_t)eval->index * eval->value_bytes;
   if (eval->request.radii != NULL) {
-    return eval_job_listed(eval);
+    return listed_radii(eval);
   }
   if (eval->request.fixed.wanted & CORE_QUANTITY_RADIUS) {
     return eval->reply + eval->layout.radius_offset + offset;
@@ -270,10 +298,40 @@ static const void *slice_radii(const struct eval_job *eval, size_t n) {
   return eval->job.context->radii;
 }
 
+/* Returns where the channel's next value of a wanted quantity goes in the reply. */
+static void *array_of(const struct eval_job *eval, enum core_quantity quantity) {
+  return eval->reply +
+         eval_array_offset(&eval->layout, wanted_of(eval), eval->channel, quantity) +
+         (size_t)eval->index * eval->value_bytes;
+}
+
+/* Draws the next n radii: into the reply if they are wanted, else into scratch memory. */
+static const void *draw_radii(const struct eval_job *eval, size_t n) {
+  struct job_context *scratch = eval->job.context;
+  const bool single = eval->value_bytes == sizeof(float);
+  const bool wanted = eval_is_array(wanted_of(eval), CORE_QUANTITY_RADIUS);
+  void *r = wanted ? array_of(eval, CORE_QUANTITY_RADIUS) : scratch->radii;
+  const void *u = scratch->numbers;
+  if (eval->request.radii != NULL) {
+    u = listed_radii(eval);
+  } else if (single) {
+    core_draw_f32(&eval->draw, eval->parts.first + eval->index, n,
+                  (float *)(void *)scratch->numbers);
+  } else {
+    core_draw_f64(&eval->draw, eval->parts.first + eval->index, n, scratch->numbers);
+  }
+  if (single) {
+    core_sample_f32(&eval->lookup.profile, n, u, r);
+  } else {
+    core_sample_f64(&eval->lookup.profile, n, u, r);
+  }
+  return r;
+}
+
 /* Returns the cost of one radius of a channel with the cheapest model, in radii of a dipole. */
 static uint64_t least_cost(const struct eval_job *eval) {
   const unsigned arrays = eval->layout.arrays_per_channel;
-  if (arrays == 0 || !is_sample(eval)) {
+  if (arrays == 0 || !eval->drawn) {
     return arrays;
   }
   const core_profile dipole = {.evaluator = eval->request.fixed.evaluator, .cost = 1};
@@ -286,14 +344,14 @@ static uint64_t least_cost(const struct eval_job *eval) {
 
 /* Returns the radii for which the channel's model error is stated. */
 static core_requested_radii requested_radii(const struct eval_job *eval) {
-  if (!is_sample(eval)) {
+  if (!eval->drawn) {
     core_requested_radii requested = {eval->grid, eval->request.radii, eval->radii, {0, 0}};
-    core_requested_ends(&requested, eval_job_value_bytes(eval) == sizeof(float));
+    core_requested_ends(&requested, eval->value_bytes == sizeof(float));
     return requested;
   }
   const core_profile *profile = &eval->lookup.profile;
   double ends[] = {DRAWN_BEYOND, 1 - DRAWN_BEYOND};
-  if (eval_job_value_bytes(eval) == sizeof(float)) {
+  if (eval->value_bytes == sizeof(float)) {
     const float u[] = {(float)ends[0], (float)ends[1]};
     float r[2];
     core_sample_f32(profile, 2, u, r);
@@ -352,7 +410,7 @@ static void start_channel(struct eval_job *eval) {
   if (eval->head != NULL) {
     return; /* start_part() has written them */
   }
-  const unsigned wanted = eval_job_wanted(eval);
+  const unsigned wanted = wanted_of(eval);
   const unsigned listed = eval->request.fixed.wanted;
   const double albedo = (listed & CORE_QUANTITY_ALBEDO) != 0 ? profile->albedo : (double)NAN;
   memcpy(eval->reply + eval_albedo_offset(eval->channel), &albedo, sizeof albedo);
@@ -363,7 +421,7 @@ static void start_channel(struct eval_job *eval) {
   double worst = (double)NAN; /* passes those over that cannot be compared */
   for (unsigned left = listed; left != 0; left &= left - 1) {
     const unsigned quantity = left & ~(left - 1);
-    const bool is_drawn = is_sample(eval) && (quantity & NOT_DRAWN) == 0;
+    const bool is_drawn = eval->drawn && (quantity & NOT_DRAWN) == 0;
     /* A sample's values are as exact as the cdf that gives the radii. */
     const unsigned with = quantity | (is_drawn ? (unsigned)CORE_QUANTITY_CDF : 0);
     const core_stated_errors stated = core_profile_errors(profile, with, eval->radii);
@@ -399,7 +457,7 @@ static void start_part(struct eval_job *eval) {
   eval->notes = 0;
   eval->channel = 0;
   eval->index = 0;
-  eval->radii_done = is_sample(eval) || (fixed->wanted & CORE_QUANTITY_RADIUS) == 0;
+  eval->radii_done = eval->drawn || (fixed->wanted & CORE_QUANTITY_RADIUS) == 0;
 }
 
 static void start_profiles(struct eval_job *eval) {
@@ -466,15 +524,9 @@ static enum job_outcome get_profile(struct eval_job *eval) {
   return JOB_GOES_ON;
 }
 
-void *eval_job_array(const struct eval_job *eval, enum core_quantity quantity) {
-  return eval->reply +
-         eval_array_offset(&eval->layout, eval_job_wanted(eval), eval->channel, quantity) +
-         (size_t)eval->index * eval_job_value_bytes(eval);
-}
-
 /* Writes the model errors at n radii. Single precision is rounded up. */
 static void compare_models(const struct eval_job *eval, size_t n, const void *r, void *to) {
-  const bool single = eval_job_value_bytes(eval) == sizeof(float);
+  const bool single = eval->value_bytes == sizeof(float);
   const unsigned others = CORE_QUANTITY_MODEL_ERRORS | CORE_QUANTITY_MODEL_ERROR |
                           CORE_QUANTITY_RADIUS | CORE_QUANTITY_ALBEDO;
   const unsigned wanted = eval->request.fixed.wanted & ~others;
@@ -499,20 +551,20 @@ static void compare_models(const struct eval_job *eval, size_t n, const void *r,
 /* Evaluates every wanted array at the n radii of a slice, or adds a short request to the batch. */
 static void evaluate_slice(struct eval_job *eval, size_t n) {
   const bool is_short = eval->parts.count == n && n <= BATCH_SHORT_RADII && n > 0;
-  const void *r = is_sample(eval) ? eval->draw_radii(eval, n) : slice_radii(eval, n);
+  const void *r = eval->drawn ? draw_radii(eval, n) : slice_radii(eval, n);
   for (unsigned left = eval->request.fixed.wanted; left != 0; left &= left - 1) {
     const unsigned quantity = left & ~(left - 1);
     if (!core_quantity_elementwise(quantity)) {
       continue;
     }
-    void *to = eval_job_array(eval, quantity);
+    void *to = array_of(eval, quantity);
     if (is_short && batch_take(&eval->job.context->batch, stats_of(eval), eval->lookup.place,
                                quantity, n, r, to)) {
       continue;
     }
     if (quantity == CORE_QUANTITY_MODEL_ERRORS) {
       compare_models(eval, n, r, to);
-    } else if (eval_job_value_bytes(eval) == sizeof(float)) {
+    } else if (eval->value_bytes == sizeof(float)) {
       core_eval_f32(&eval->lookup.profile, quantity, n, r, to);
     } else {
       core_eval_f64(&eval->lookup.profile, quantity, n, r, to);
@@ -559,7 +611,7 @@ static void put_notes(const struct eval_job *eval) {
 /* Remembers the request, so that later requests can repeat it with other radii. A request whose
  * check depends on the radii cannot be repeated. */
 static void learn_request(const struct eval_job *eval) {
-  if (!is_sample(eval) && eval->parts.part_count == 1 && eval->covers_all &&
+  if (!eval->drawn && eval->parts.part_count == 1 && eval->covers_all &&
       !choice_heeds_radii(&eval->choice, &eval->request)) {
     repeat_learn(&eval->job.context->repeat, &eval->request, &eval->grid, &eval->layout,
                  eval->reply, eval->lookup.place);
@@ -571,7 +623,7 @@ static void channel_step(struct eval_job *eval, size_t n) {
     evaluate_slice(eval, n);
     job_pay(&eval->job, n * least_cost(eval));
     stats_count_radii(stats_of(eval), eval->request.fixed.model, n);
-    stats_add(stats_of(eval), STATS_RADII_DRAWN, is_sample(eval) ? n : 0);
+    stats_add(stats_of(eval), STATS_RADII_DRAWN, eval->drawn ? n : 0);
     stats_add(stats_of(eval), STATS_SLICES_EVALUATED, 1);
   }
   if (eval->layout.arrays_per_channel == 0 || advance_by(eval, n)) {
@@ -593,7 +645,7 @@ enum { DRAW_VECTOR = 8 };
 static size_t slice_length(const struct eval_job *eval, double fixed, double cost) {
   const uint64_t left = eval->parts.count - eval->index;
   size_t most = (size_t)fmax(fmax(JOB_SLICE_RADII - fixed, fixed) / cost, 1);
-  if (is_sample(eval)) {
+  if (eval->drawn) {
     most = most < DRAW_VECTOR ? DRAW_VECTOR : most / DRAW_VECTOR * DRAW_VECTOR;
   }
   return left < most ? (size_t)left : most;
@@ -603,7 +655,7 @@ static size_t slice_length(const struct eval_job *eval, double fixed, double cos
  * takes 3.6 ns of a linear and 42 ns of a logarithmic grid, a dipole 1.3 (f32) or 3.8 ns (f64). */
 static double grid_cost(const struct eval_job *eval) {
   const unsigned spacing = eval->request.fixed.spacing;
-  return is_sample(eval) || spacing == CORE_SPACING_LIST ? 0
+  return eval->drawn || spacing == CORE_SPACING_LIST ? 0
          : spacing == CORE_SPACING_LINEAR                ? 2
                                                          : 20;
 }
@@ -612,18 +664,19 @@ static double grid_cost(const struct eval_job *eval) {
 static double cost_of(const struct eval_job *eval) {
   const core_profile *profile = &eval->lookup.profile;
   const unsigned wanted = eval->request.fixed.wanted;
-  const bool in_reply = eval_is_array(eval_job_wanted(eval), CORE_QUANTITY_RADIUS);
+  const bool in_reply = eval_is_array(wanted_of(eval), CORE_QUANTITY_RADIUS);
   const bool compares = (wanted & CORE_QUANTITY_MODEL_ERRORS) != 0 && eval->ruler.ready;
   return core_radius_cost(profile, wanted) +
          (compares ? core_radius_cost(profile, wanted) +
                          core_radius_cost(&eval->ruler.profile, wanted) * __builtin_popcount(wanted)
                    : 0) +
-         (is_sample(eval) ? core_draw_cost(profile) : 0) + (in_reply ? 0 : grid_cost(eval));
+         (eval->drawn ? core_draw_cost(profile) : 0) + (in_reply ? 0 : grid_cost(eval));
 }
 
 /* ---- the job --------------------------------------------------------------------------------- */
 
-enum job_outcome eval_job_start(struct eval_job *eval, wire_error error,
+/* Starts the job. error: what the checks have found. */
+static enum job_outcome admit_eval(struct eval_job *eval, wire_error error,
                                 const struct job_request *request) {
   const wire_eval_request *fixed = &eval->request.fixed;
   if (error.status == WIRE_STATUS_OK) {
@@ -661,10 +714,23 @@ static enum job_outcome start_eval(struct job *job, const struct job_request *re
     job->latency = eval->request.fixed.radius_count <= BATCH_SHORT_RADII ? LATENCY_EVAL_SHORT
                                                                          : LATENCY_EVAL_LONG;
   }
-  return eval_job_start(eval, error, request);
+  return admit_eval(eval, error, request);
 }
 
-enum job_outcome eval_job_begin_part(struct job *job, uint8_t *payload) {
+static enum job_outcome start_sample(struct job *job, const struct job_request *request) {
+  struct eval_job *eval = eval_of(job);
+  wire_error error = sample_request_parse(request->payload, request->header->payload_bytes,
+                                          &eval->draw, &eval->request);
+  eval->drawn = true;
+  eval->value_bytes = core_evaluator_bytes(eval->request.fixed.evaluator);
+  eval->choice = (struct choice_state){.tolerance = (double)NAN};
+  if (error.status == WIRE_STATUS_OK) {
+    error = check_sample(eval);
+  }
+  return admit_eval(eval, error, request);
+}
+
+static enum job_outcome begin_eval_part(struct job *job, uint8_t *payload) {
   struct eval_job *eval = eval_of(job);
   if (eval->repeated != NULL) {
     struct job_context *context = job->context;
@@ -696,7 +762,7 @@ static enum job_outcome end_part(struct eval_job *eval) {
  * millisecond if the cache does not have it, so that few channels share a turn. */
 enum { PREPARED_RADII = JOB_SLICE_RADII / 4 };
 
-enum job_outcome eval_job_step(struct job *job, uint64_t *budget) {
+static enum job_outcome step_eval(struct job *job, uint64_t *budget) {
   struct eval_job *eval = eval_of(job);
   size_t n;
   double cost = 1, fixed = 0;
@@ -742,6 +808,11 @@ void eval_job_end(struct job *job) {
 }
 
 const struct job_kind job_kind_EVAL = {.start = start_eval,
-                                       .begin_part = eval_job_begin_part,
-                                       .step = eval_job_step,
+                                       .begin_part = begin_eval_part,
+                                       .step = step_eval,
                                        .end = eval_job_end};
+
+const struct job_kind job_kind_SAMPLE = {.start = start_sample,
+                                         .begin_part = begin_eval_part,
+                                         .step = step_eval,
+                                         .end = eval_job_end};

@@ -1,5 +1,5 @@
 /* eval: evaluates a model for media (channels) at radii, slice by slice. A sample is an eval whose
- * radii are drawn first, for each channel (sample.c). */
+ * radii are drawn first, for each channel, as the light that leaves is distributed. */
 #ifndef DIPOLED_EVAL_H
 #define DIPOLED_EVAL_H
 
@@ -21,8 +21,7 @@ struct eval_job {
   bool covers_all;            /* whether the model covers all radii */
   core_radii_range radii;     /* the range of radii for which the reply states its errors */
 
-  /* Draws the next n radii of the channel. NULL unless the job is a sample. */
-  const void *(*draw_radii)(const struct eval_job *eval, size_t n);
+  bool drawn;     /* whether the job is a sample */
   core_draw draw; /* the rule for the numbers of a sample */
 
   eval_layout layout;     /* layout of the current part of the reply */
@@ -38,40 +37,14 @@ struct eval_job {
   struct profiles_lookup ruler;  /* for that of transport, if the model error needs it */
 };
 
-/* ---- for sample.c ---------------------------------------------------------------------------- */
+/* The functions that follow are for offers.c. end() is that of struct job_kind. */
 
-/* Checks the media of eval->request. Sets *radii to the range in which all channels can be
- * evaluated, and eval->covers_all to whether this range has all radii. */
-wire_error eval_job_check_media(struct eval_job *eval, core_radii_range *radii);
-
-/* Starts the job of eval->request. If the caller's checks have found an error, refuses it. */
-enum job_outcome eval_job_start(struct eval_job *eval, wire_error error,
-                                const struct job_request *request);
-
-/* These are begin_part() and step() of struct job_kind in job.h. */
-enum job_outcome eval_job_begin_part(struct job *job, uint8_t *payload);
-enum job_outcome eval_job_step(struct job *job, uint64_t *budget);
 void eval_job_end(struct job *job);
 
 /* Returns the layers of the medium of a channel. */
 static inline const core_medium *eval_job_medium(const struct eval_job *eval, uint32_t channel) {
   return &eval->request.media[(size_t)channel * eval->request.fixed.layer_count];
 }
-
-/* Returns the bits of all wanted quantities, as proto/eval.h defines them. */
-unsigned eval_job_wanted(const struct eval_job *eval);
-
-static inline size_t eval_job_value_bytes(const struct eval_job *eval) {
-  return eval->value_bytes;
-}
-
-/* Returns the address of the next listed radius, or of the next listed number u of a sample. */
-const uint8_t *eval_job_listed(const struct eval_job *eval);
-
-/* Returns where the channel's next value of a wanted quantity goes in the reply. */
-void *eval_job_array(const struct eval_job *eval, enum core_quantity quantity);
-
-/* ---- for offers.c ---------------------------------------------------------------------------- */
 
 /* Reads and checks a request of model EVAL_ANY_MODEL. */
 wire_error eval_job_offers(struct eval_job *eval, const struct job_request *request);

@@ -8,7 +8,7 @@
 #include "core/ruler.h"
 #include "proto/gather.h"
 #include "server/jobs/job.h"
-#include "server/store/points.h"
+#include "server/jobs/points.h"
 
 /* The memory of a job besides its slot, one block. */
 struct gather_work {

@@ -3,12 +3,15 @@
  * the same job at a time. The batches are merged in the order of their indices, so the result does not
  * depend on which thread walked which batch. */
 #include <assert.h>
+#include <math.h>
+#include <stdatomic.h>
+#include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
+#include "proto/mc.h"
 #include "server/jobs/job.h"
 #include "server/jobs/mc_pool.h"
-#include "server/jobs/mc_task.h"
 #include "server/store/cache.h"
 
 enum {
@@ -16,6 +19,28 @@ enum {
   BATCHES_PER_THREAD = 2,  /* per job: one batch can be walked while another waits to be merged */
   PROGRESS_EVERY_MS = 200, /* a job reports progress at most this often */
   RETRY_AFTER_MS = 1000,   /* retry_after_ms of BUSY: jobs take seconds */
+  BATCHES_MIN = 32, /* the fewest for which standard errors are trusted: they are known to 13 % then */
+  /* what a thread walks before it checks whether the job is still wanted: 1 to 4 ms */
+  SLICE_SCATTERINGS = 100000,
+};
+
+/* The work of one job: which photons are walked, when their errors are small enough, and the table of
+ * results. */
+struct mc_task {
+  core_mc_request request;
+  double error_total; /* the error of the total R that the client requested; 0 if it named none */
+  double error_rings; /* the error of each ring that it requested; 0 if it named none */
+  uint64_t batches_max;
+  uint32_t side_count;
+  uint32_t ring_count;
+  mc_layout layout;
+  core_mc_plan *plan;
+  core_mc_total *total;
+  core_mc_ring *rings; /* [ring_count], working space */
+  uint8_t *table;      /* [layout.payload_bytes]: payload of the last reply */
+  uint64_t next_check; /* the number of batches at which the errors are checked next */
+  wire_mc_reply progress;
+  atomic_bool ends; /* set by any thread: the job ends, so errors are not checked any more */
 };
 
 struct photon_batch {
@@ -65,13 +90,364 @@ static uint64_t clock_ms(void) {
   return uv_hrtime() / 1000000;
 }
 
+/* ---- checking -------------------------------------------------------------------------------- */
+
+/* Returns the name on the wire of a field that core has named. */
+static const char *wire_field(const char *field) {
+  static const struct {
+    const char *core, *wire;
+  } others[] = {
+      {"sigma_t", "sigma_s"},
+      {"radius_spacing", "spacing"},
+      {"radius_count", "ring_count"},
+  };
+  for (size_t i = 0; i < sizeof others / sizeof others[0]; i++) {
+    if (strcmp(field, others[i].core) == 0) {
+      return others[i].wire;
+    }
+  }
+  return field;
+}
+
+static wire_error from_fault(core_fault fault) {
+  wire_error error = wire_error_make(WIRE_STATUS_BAD_VALUE, wire_field(fault.field), fault.allowed);
+  error.index = fault.index;
+  return error;
+}
+
+/* Returns whether the value can be a target for an error. NaN cannot: it fails every comparison. */
+static bool is_error_target(double target) {
+  return target == 0 || (target >= 1e-9 && target <= 1);
+}
+
+static wire_error check_targets(const wire_mc_request *fixed, uint64_t photons_max) {
+  static const char errors[] = "0 (none), or 1e-9 to 1";
+  char allowed[64];
+  if (fixed->photons == 0) {
+    return wire_error_make(WIRE_STATUS_BAD_VALUE, "photons", "at least 1");
+  }
+  if (fixed->photons > photons_max) {
+    snprintf(allowed, sizeof allowed, "at most %llu", (unsigned long long)photons_max);
+    return wire_error_make(WIRE_STATUS_TOO_LARGE, "photons", allowed);
+  }
+  if (!is_error_target(fixed->error_total)) {
+    return wire_error_make(WIRE_STATUS_BAD_VALUE, "error_total", errors);
+  }
+  if (!is_error_target(fixed->error_rings)) {
+    return wire_error_make(WIRE_STATUS_BAD_VALUE, "error_rings", errors);
+  }
+  return wire_error_none();
+}
+
+/* Makes the request for core. The medium has been checked. */
+static void set_request(struct mc_task *task, const mc_request *wire) {
+  core_mc_request *request = &task->request;
+  core_mc_request_medium(request, wire->layers, wire->fixed.layer_count);
+  if (wire->fixed.albedo_count > 0) {
+    request->albedo_count = wire->fixed.albedo_count;
+    memcpy(request->albedo, wire->albedo, sizeof request->albedo);
+  }
+  request->edges = (core_grid){wire->fixed.spacing, (uint64_t)wire->fixed.ring_count + 1,
+                               wire->fixed.radius_start, wire->fixed.radius_stop};
+  request->seed = wire->fixed.seed;
+  task->error_total = wire->fixed.error_total;
+  task->error_rings = wire->fixed.error_rings;
+  task->batches_max = (wire->fixed.photons - 1) / CORE_MC_BATCH_PHOTONS + 1;
+  task->side_count = wire->layers[wire->fixed.layer_count - 1].thickness_mm > 0 ? CORE_MC_SIDES : 1;
+  task->ring_count = wire->fixed.ring_count;
+}
+
+/* Checks a request. If it is valid, sets all members of the task except those that open_task()
+ * allocates. */
+static wire_error check_task(struct mc_task *task, const struct server *server, const uint8_t *payload,
+                         size_t payload_bytes) {
+  mc_request wire = {0};
+  *task = (struct mc_task){0};
+  wire_error error = mc_request_parse(payload, payload_bytes, &wire);
+  if (error.status != WIRE_STATUS_OK) {
+    return error;
+  }
+  if (wire.fixed.ring_count < 1 || wire.fixed.ring_count > CORE_MC_RINGS_MAX) {
+    return wire_error_make(WIRE_STATUS_BAD_COUNT, "ring_count", "1 to 4096");
+  }
+  core_fault fault = core_layers_check(wire.layers, wire.fixed.layer_count);
+  if (fault.field != NULL) {
+    return from_fault(fault);
+  }
+  set_request(task, &wire);
+  fault = core_mc_request_parameters(&task->request, &wire.parameters);
+  if (fault.field == NULL) {
+    fault = core_mc_check(&task->request);
+  }
+  if (fault.field != NULL) {
+    return from_fault(fault);
+  }
+  error = check_targets(&wire.fixed, server->options.max_mc_photons);
+  if (error.status == WIRE_STATUS_OK &&
+      (!mc_reply_layout(task->side_count, (uint32_t)task->request.albedo_count, task->ring_count,
+                        &task->layout) ||
+       task->layout.payload_bytes > server->options.max_frame_bytes)) {
+    char allowed[64];
+    snprintf(allowed, sizeof allowed, "at most %llu bytes of reply",
+             (unsigned long long)server->options.max_frame_bytes);
+    error = wire_error_make(WIRE_STATUS_TOO_LARGE, "ring_count", allowed);
+  }
+  return error;
+}
+
+/* ---- memory ---------------------------------------------------------------------------------- */
+
+/* Bounds the memory: for each albedo, a tally has a slot for each ring and two more on each side,
+ * and a few numbers. There is also one count of photons for each slot. */
+static uint64_t task_bytes(const struct mc_task *task, uint64_t batches) {
+  const uint64_t plan_bytes = UINT64_C(512) << 10;
+  const uint64_t slots = CORE_MC_SIDES * ((uint64_t)task->ring_count + 2);
+  const uint64_t counts_bytes = slots * sizeof(uint64_t);
+  const uint64_t tally_bytes = (slots + 8) * task->request.albedo_count * sizeof(double);
+  const uint64_t batch_bytes = tally_bytes + counts_bytes + (UINT64_C(32) << 10);
+  const uint64_t total_bytes = 2 * tally_bytes + counts_bytes;
+  return plan_bytes + total_bytes + batches * batch_bytes + task->layout.payload_bytes +
+         task->ring_count * sizeof(core_mc_ring);
+}
+
+/* Returns false if there is no memory. The caller calls close_task() in either case. */
+static bool open_task(struct mc_task *task) {
+  task->plan = core_mc_plan_create(&task->request);
+  task->total = task->plan != NULL ? core_mc_total_create(task->plan) : NULL;
+  task->rings = calloc(task->ring_count, sizeof *task->rings);
+  task->table = malloc(task->layout.payload_bytes);
+  task->next_check = 2;
+  task->progress = (wire_mc_reply){
+      .side_count = (uint16_t)task->side_count,
+      .error_total = (double)INFINITY,
+      .error_rings = (double)INFINITY,
+      .photons_expected = task->batches_max * CORE_MC_BATCH_PHOTONS,
+  };
+  return task->total != NULL && task->rings != NULL && task->table != NULL;
+}
+
+static void close_task(struct mc_task *task) {
+  core_mc_total_free(task->total);
+  core_mc_plan_free(task->plan);
+  free(task->rings);
+  free(task->table);
+}
+
+/* ---- errors ---------------------------------------------------------------------------------- */
+
+/* Returns the largest relative error of R among the albedos; 0 if no scattered light leaves. */
+static double total_error(const struct mc_task *task) {
+  double worst = core_mc_total_batches(task->total) >= 2 ? 0 : (double)INFINITY;
+  for (size_t k = 0; k < task->request.albedo_count; k++) {
+    core_mc_energy energy;
+    core_mc_total_energy(task->total, k, &energy);
+    const core_mc_value *R = &energy.left[CORE_MC_REFLECTED];
+    if (R->value > 0) {
+      worst = fmax(worst, R->error / R->value);
+    }
+  }
+  return worst;
+}
+
+/* Returns whether scattered light has left on any side. */
+static bool light_leaves(const struct mc_task *task) {
+  for (size_t k = 0; k < task->request.albedo_count; k++) {
+    core_mc_energy energy;
+    core_mc_total_energy(task->total, k, &energy);
+    for (size_t side = 0; side < CORE_MC_SIDES; side++) {
+      if (energy.left[side].value > energy.unscattered[side]) {
+        return true;
+      }
+    }
+  }
+  return false;
+}
+
+/* begin_worst(), note_worst() for each ring, and end_worst() find the largest relative error among
+ * the rings that light has reached. It is infinite while no ring has light, and 0 if no scattered
+ * light leaves at all. */
+static void begin_worst(struct mc_task *task) {
+  task->progress.error_rings = -1;
+  task->progress.worst_from = task->progress.worst_to = 0;
+}
+
+/* Takes the errors of task->rings, which are the rings of this albedo and side, into account. */
+static void note_worst(struct mc_task *task, uint32_t albedo, uint32_t side) {
+  wire_mc_reply *progress = &task->progress;
+  for (uint32_t i = 0; i < task->ring_count; i++) {
+    const core_mc_ring *ring = &task->rings[i];
+    const double error = ring->error_per_mm2 / ring->R_per_mm2;
+    if (ring->R_per_mm2 > 0 && error > progress->error_rings) {
+      progress->error_rings = error;
+      progress->worst_side = (uint16_t)side;
+      progress->worst_albedo = (uint16_t)albedo;
+      progress->worst_from = ring->from_mm;
+      progress->worst_to = ring->to_mm;
+    }
+  }
+}
+
+static void end_worst(struct mc_task *task) {
+  if (task->progress.error_rings < 0) {
+    const bool known = core_mc_total_batches(task->total) >= 2 && !light_leaves(task);
+    task->progress.error_rings = known ? 0 : (double)INFINITY;
+  }
+}
+
+/* Finds the worst ring. With many rings and albedos this takes tens of milliseconds, so it stops
+ * early if the job has to end. */
+static void find_worst_ring(struct mc_task *task) {
+  begin_worst(task);
+  for (uint32_t k = 0; k < task->request.albedo_count; k++) {
+    for (uint32_t side = 0; side < task->side_count && !atomic_load(&task->ends); side++) {
+      core_mc_total_rings(task->total, k, side, task->rings);
+      note_worst(task, k, side);
+    }
+  }
+  end_worst(task);
+}
+
+/* Estimates how many photons reach the wanted error, which falls with the root of their number. */
+static double photons_for(double error, double wanted, double photons) {
+  return wanted > 0 ? photons * pow(error / wanted, 2) : 0;
+}
+
+static bool is_enough(const struct mc_task *task) {
+  const bool is_wanted = task->error_total > 0 || task->error_rings > 0;
+  return is_wanted && core_mc_total_batches(task->total) >= BATCHES_MIN &&
+         (task->error_total == 0 || task->progress.error_total <= task->error_total) &&
+         (task->error_rings == 0 || task->progress.error_rings <= task->error_rings);
+}
+
+/* Computes the errors, and estimates how many photons the task will need. */
+static void check_errors(struct mc_task *task) {
+  wire_mc_reply *progress = &task->progress;
+  const double photons = (double)progress->photons;
+  const uint64_t most = task->batches_max * CORE_MC_BATCH_PHOTONS;
+  progress->error_total = total_error(task);
+  find_worst_ring(task);
+  progress->photons_expected = most;
+  if (task->error_total > 0 || task->error_rings > 0) {
+    const double wanted = fmax(photons_for(progress->error_total, task->error_total, photons),
+                               photons_for(progress->error_rings, task->error_rings, photons));
+    const double least = fmax(photons, (double)BATCHES_MIN * CORE_MC_BATCH_PHOTONS);
+    const double expected = fmax(wanted, least);
+    progress->photons_expected = expected < (double)most ? (uint64_t)expected : most;
+  }
+}
+
+/* Adds a batch. The more batches there are, the more rarely this checks the errors, so that checks
+ * cost little. The number of batches alone says when to check, so that the same request always ends
+ * after the same batch. */
+static void merge_batch(struct mc_task *task, const core_mc_batch *batch) {
+  wire_mc_reply *progress = &task->progress;
+  core_mc_total_merge(task->total, batch);
+  const uint64_t batches = core_mc_total_batches(task->total);
+  progress->photons = batches * CORE_MC_BATCH_PHOTONS;
+  if (batches < task->next_check && batches < task->batches_max) {
+    return;
+  }
+  task->next_check = batches < BATCHES_MIN ? 2 * batches : batches + batches / 32;
+  check_errors(task);
+  if (is_enough(task)) {
+    progress->state = MC_ERRORS_SMALL;
+    progress->photons_expected = progress->photons;
+  } else if (batches == task->batches_max) {
+    progress->state = MC_PHOTONS_WALKED;
+  }
+}
+
+/* ---- the table ------------------------------------------------------------------------------- */
+
+static wire_mc_energy energy_of(const struct mc_task *task, size_t albedo) {
+  core_mc_energy from;
+  core_mc_total_energy(task->total, albedo, &from);
+  wire_mc_energy to = {
+      .albedo = task->request.albedo[albedo],
+      .reflected = from.left[CORE_MC_REFLECTED].value,
+      .reflected_error = from.left[CORE_MC_REFLECTED].error,
+      .transmitted = from.left[CORE_MC_TRANSMITTED].value,
+      .transmitted_error = from.left[CORE_MC_TRANSMITTED].error,
+      .absorbed = from.absorbed.value,
+      .absorbed_error = from.absorbed.error,
+      .unfinished = from.unfinished.value,
+      .unfinished_error = from.unfinished.error,
+      .roulette = from.roulette.value,
+      .roulette_error = from.roulette.error,
+      .imbalance = from.imbalance,
+  };
+  for (size_t side = 0; side < CORE_MC_SIDES; side++) {
+    to.unscattered[side] = from.unscattered[side];
+    to.under[side] = from.under[side].value;
+    to.under_error[side] = from.under[side].error;
+    to.over[side] = from.over[side].value;
+    to.over_error[side] = from.over[side].error;
+  }
+  for (size_t i = 0; i < CORE_LAYERS_MAX; i++) {
+    to.in_layer[i] = from.in_layer[i].value;
+    to.in_layer_error[i] = from.in_layer[i].error;
+  }
+  return to;
+}
+
+static void put_array(uint8_t *table, size_t offset, uint32_t index, const void *value) {
+  memcpy(table + offset + (size_t)index * 8, value, 8);
+}
+
+/* Writes the rings of one albedo and side. All albedos share the edges and the photons. */
+static void put_rings(struct mc_task *task, uint32_t albedo, uint32_t side) {
+  const mc_layout *layout = &task->layout;
+  const uint32_t sides = task->side_count, count = task->ring_count;
+  const size_t edges = layout->edges_offset;
+  const size_t photons = mc_photons_offset(layout, count, side);
+  const size_t R = mc_rings_offset(layout, sides, count, albedo, side, false);
+  const size_t error = mc_rings_offset(layout, sides, count, albedo, side, true);
+  core_mc_total_rings(task->total, albedo, side, task->rings);
+  note_worst(task, albedo, side);
+  for (uint32_t i = 0; i < count; i++) {
+    const core_mc_ring *ring = &task->rings[i];
+    put_array(task->table, edges, i, &ring->from_mm);
+    put_array(task->table, photons, i, &ring->photons);
+    put_array(task->table, R, i, &ring->R_per_mm2);
+    put_array(task->table, error, i, &ring->error_per_mm2);
+  }
+  put_array(task->table, edges, count, &task->rings[count - 1].to_mm);
+}
+
+static void put_reply(struct mc_task *task, enum mc_state state) {
+  wire_mc_reply reply = task->progress;
+  reply.state = (uint16_t)state;
+  reply.albedo_count = (uint16_t)task->request.albedo_count;
+  reply.ring_count = task->ring_count;
+  reply.photons_expected = reply.photons;
+  reply.error_total = total_error(task);
+  wire_put_mc_reply(task->table, &reply);
+}
+
+/* Writes the table. It computes the errors once more, because a cancelled job ends between two
+ * checks. */
+static void write_table(struct mc_task *task, enum mc_state state) {
+  begin_worst(task);
+  for (uint32_t albedo = 0; albedo < task->request.albedo_count; albedo++) {
+    const wire_mc_energy energy = energy_of(task, albedo);
+    wire_put_mc_energy(task->table + task->layout.energies_offset +
+                           (size_t)albedo * WIRE_BYTES_mc_energy,
+                       &energy);
+    for (uint32_t side = 0; side < task->side_count; side++) {
+      put_rings(task, albedo, side);
+    }
+  }
+  end_worst(task);
+  put_reply(task, state);
+}
+
 /* ---- the end --------------------------------------------------------------------------------- */
 
 static void free_walk(struct walk *walk) {
   for (size_t i = 0; i < walk->slot_count; i++) {
     core_mc_batch_free(walk->slots[i].photons);
   }
-  mc_task_close(&walk->task);
+  close_task(&walk->task);
   budget_return(&walk->pool->server->buffers, walk->bytes);
   free(walk);
 }
@@ -155,7 +531,7 @@ static enum turn find_turn(struct mc_pool *pool, struct walk **walk, struct phot
 static bool open_walk(struct walk *walk) {
   const size_t wanted = walk->slot_count;
   walk->slot_count = 0;
-  if (!mc_task_open(&walk->task)) {
+  if (!open_task(&walk->task)) {
     return false;
   }
   while (walk->slot_count < wanted) {
@@ -174,7 +550,7 @@ static bool walk_slice(const struct walk *walk, const struct photon_batch *batch
   if (begins) {
     core_mc_batch_start(batch->photons, index);
   }
-  return core_mc_batch_walk(batch->photons, walk->pool->server->isa, MC_TASK_SLICE_SCATTERINGS);
+  return core_mc_batch_walk(batch->photons, walk->pool->server->isa, SLICE_SCATTERINGS);
 }
 
 /* Notes what a turn has changed, and wakes those for whom that is news. done: whether the memory was
@@ -227,9 +603,9 @@ static void do_turn(struct walk *walk, enum turn turn, struct photon_batch *batc
   } else if (turn == TURN_WALK) {
     done = walk_slice(walk, batch, begins, index);
   } else if (turn == TURN_MERGE) {
-    mc_task_merge(&walk->task, batch->photons);
+    merge_batch(&walk->task, batch->photons);
   } else {
-    mc_task_write_table(&walk->task, walk->state);
+    write_table(&walk->task, walk->state);
   }
   uv_mutex_lock(&pool->mutex);
   note_turn(walk, turn, batch, done);
@@ -338,7 +714,7 @@ static struct walk *new_walk(const struct job *job, const struct mc_task *task) 
   struct mc_pool *pool = job->context->server->mc;
   struct budget *budget = &pool->server->buffers;
   const size_t slots = BATCHES_PER_THREAD * (size_t)pool->server->options.mc_threads;
-  const uint64_t bytes = mc_task_bytes(task, slots);
+  const uint64_t bytes = task_bytes(task, slots);
   if (!budget_take(budget, bytes)) {
     return NULL;
   }
@@ -363,7 +739,7 @@ static enum job_outcome start_mc(struct job *job, const struct job_request *requ
   struct mc_pool *pool = job->context->server->mc;
   struct mc_task task;
   const wire_error error =
-      mc_task_check(&task, pool->server, request->payload, request->header->payload_bytes);
+      check_task(&task, pool->server, request->payload, request->header->payload_bytes);
   if (error.status != WIRE_STATUS_OK) {
     return job_refuse(job, error);
   }

@@ -24,7 +24,7 @@ static core_choose_request request_of(const struct offers_job *offers) {
 /* ---- comparing ------------------------------------------------------------------------------- */
 
 static enum core_evaluator evaluator_of(const struct offers_job *offers) {
-  return eval_job_value_bytes(&offers->eval) == sizeof(float) ? CORE_EVALUATOR_F32
+  return offers->eval.value_bytes == sizeof(float) ? CORE_EVALUATOR_F32
                                                               : CORE_EVALUATOR_F64;
 }
 
@@ -58,7 +58,7 @@ static enum lookup_state get_profiles(struct offers_job *offers, unsigned model,
 static void compare_model(struct offers_job *offers, bool known) {
   const struct eval_job *eval = &offers->eval;
   core_requested_radii requested = {eval->grid, eval->request.radii, eval->radii, {0, 0}};
-  core_requested_ends(&requested, eval_job_value_bytes(eval) == sizeof(float));
+  core_requested_ends(&requested, eval->value_bytes == sizeof(float));
   const unsigned wanted = request_of(offers).wanted;
   double model = (double)INFINITY, numerical = (double)INFINITY;
   if (known) {

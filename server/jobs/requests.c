@@ -3,8 +3,8 @@
 #include <stdio.h>
 #include <stdlib.h>
 
+#include "server/jobs/points.h"
 #include "server/observe/health.h"
-#include "server/store/points.h"
 
 /* What detached requests may hold of a connection's input. More stays in the input, and in the
  * socket. */

@@ -3,7 +3,6 @@
 #include "proto/table.h"
 #include "core/ruler.h"
 #include "server/jobs/job.h"
-#include "server/store/varyings.h"
 
 struct table {
   struct job job;

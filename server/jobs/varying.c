@@ -3,7 +3,6 @@
 
 #include "core/ruler.h"
 #include "server/jobs/job.h"
-#include "server/store/varyings.h"
 
 struct varying_job {
   struct job job;

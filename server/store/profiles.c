@@ -289,3 +289,41 @@ void profiles_end(struct profiles *profiles) {
   assert(LIST_EMPTY(&profiles->lookups.woken));
   empty_slots(profiles, true);
 }
+
+/* ---- what media that vary share --------------------------------------------------------------- */
+
+/* The key is that of a profile, whose medium has 0 in place of sigma_a and sigma_s. */
+static core_fault prepare_varying(void *thing, const struct cache_key *key, const core_isa *isa,
+                          const atomic_bool *stop) {
+  const struct profiles_key *from = key->content;
+  core_parameters parameters = {.layer_count = 1};
+  (void)stop;
+  memcpy(parameters.value, from->parameters, sizeof parameters.value);
+  return core_varying_prepare(thing, isa, from->model, from->moments, from->evaluator,
+                              from->medium->g, from->medium->eta, &parameters);
+}
+
+static void free_varying(void *thing) {
+  core_varying_free(thing);
+}
+
+static uint64_t varying_bytes(const void *thing) {
+  return core_varying_bytes(thing);
+}
+
+static const struct cache_kind varyings_kind = {.thing_bytes = sizeof(core_varying),
+                                       .prepare = prepare_varying,
+                                       .free = free_varying,
+                                       .bytes = varying_bytes};
+
+enum lookup_state varyings_get(struct lookups *lookups, struct lookup *lookup, unsigned model,
+                               unsigned moments, unsigned evaluator,
+                               const core_parameters *parameters, double g, double eta) {
+  struct profiles_key from;
+  profiles_key_start(&from, model, moments, evaluator, parameters);
+  profiles_key_set_medium(&from, &(core_medium){0, 0, g, eta});
+  const struct cache_key key = profiles_cache_key(&from, &varyings_kind);
+  return lookup_get(
+      lookups, lookup, &key,
+      core_prepares_slowly(model, evaluator, NULL, parameters) ? CACHE_SLOW : CACHE_FAST, true);
+}

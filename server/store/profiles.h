@@ -19,6 +19,7 @@
 #ifndef DIPOLED_PROFILES_H
 #define DIPOLED_PROFILES_H
 
+#include "core/varying.h"
 #include "server/store/cache.h"
 
 /* The key of a profile: everything from which it is prepared. Two profiles are the same if the
@@ -128,5 +129,16 @@ void profiles_return(struct profiles_lookup *lookup);
  * profiles_get() or profiles_sweep(), and while the slot is pinned. Returns NULL if the slot has
  * another profile now, or if the cache has evicted this one. */
 const core_profile *profiles_at(struct profiles_place place);
+
+/* Looks up what all media of one g and eta share (core/varying.h). core_profile_check() must have accepted the
+ * arguments. */
+enum lookup_state varyings_get(struct lookups *lookups, struct lookup *lookup, unsigned model,
+                               unsigned moments, unsigned evaluator,
+                               const core_parameters *parameters, double g, double eta);
+
+/* Returns what varyings_get() has found, until lookup_return(); NULL if there is nothing. */
+static inline const core_varying *varyings_found(const struct lookup *lookup) {
+  return lookup_thing(lookup);
+}
 
 #endif
