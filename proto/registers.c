@@ -16,7 +16,6 @@ const registers_job registers_jobs[REGISTERS_JOBS] = {
    REGISTERS_AT_##PREFIX##CANCEL,                                                                  \
    deadline,                                                                                       \
    REGISTERS_AT_##PREFIX##STATUS,                                                                  \
-   REGISTERS_AT_##PREFIX##PLACE,                                                                   \
    progress,                                                                                       \
    REGISTERS_AT_##PREFIX##ERROR_TEXT},
 #include "proto/registers.def"

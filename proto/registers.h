@@ -90,7 +90,6 @@ typedef struct registers_job {
   unsigned cancel;
   unsigned deadline; /* 0: there is none */
   unsigned status;
-  unsigned place;
   unsigned progress; /* 0: there is none */
   unsigned error_text;
 } registers_job;

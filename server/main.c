@@ -243,17 +243,6 @@ static bool serve_modbus_at(struct daemon *daemon, const char *url) {
   return open_listener(daemon, url, secure ? modbus_service_admit_tls : modbus_service_admit);
 }
 
-static bool open_modbus(struct daemon *daemon) {
-  const struct options_list *urls = &daemon->server.options.modbus;
-  if (!open_each(daemon, urls, serve_modbus_at)) {
-    return false;
-  }
-  if (urls->count > 0) {
-    modbus_service_begin(daemon->server.modbus);
-  }
-  return true;
-}
-
 /* Returns the runtime directory: that of systemd, or of the user, or /run for root. NULL if there
  * is none. */
 static const char *runtime_directory(void) {
@@ -332,41 +321,6 @@ static bool open_addresses(struct daemon *daemon) {
   return daemon->listener_count > 0 || listen_by_default(daemon);
 }
 
-/* Starts to serve the metrics, if --metrics is given. Called before clients can connect, so that a
- * daemon that is ready can also be monitored. */
-static bool open_metrics(struct daemon *daemon) {
-  const char *address = daemon->server.options.metrics;
-  if (address != NULL) {
-    daemon->metrics = metrics_open(&daemon->server, address);
-  }
-  return address == NULL || daemon->metrics != NULL;
-}
-
-/* Starts to serve HTTP, if --http is given. Its requests run on the last worker. */
-static bool open_http(struct daemon *daemon) {
-  struct server *server = &daemon->server;
-  if (server->options.http != NULL) {
-    daemon->http = http_service_open(server, &server->workers[server->options.workers]);
-  }
-  return server->options.http == NULL || daemon->http != NULL;
-}
-
-/* Reads the file of --media, if it is given. Called before the workers start. */
-static bool read_media(const struct server *server) {
-  char why[160];
-  const char *path = server->options.media;
-  return path == NULL || media_read(path, why, sizeof why) || complain(path, why);
-}
-
-/* Sets up Modbus, if --modbus is given. Called before the workers start, because one of them gets
- * the registers. */
-static bool set_up_modbus(struct server *server) {
-  if (server->options.modbus.count > 0) {
-    server->modbus = modbus_service_new(server);
-  }
-  return server->options.modbus.count == 0 || server->modbus != NULL;
-}
-
 /* Reads the certificates, if there is an address with TLS. Called before the workers start, because
  * one of them serves handshakes. */
 static bool set_up_tls(struct server *server) {
@@ -389,13 +343,39 @@ static bool set_up_tls(struct server *server) {
 }
 
 /* Called after the workers have started. */
-static bool set_up_handshakes(struct daemon *daemon) {
-  struct server *server = &daemon->server;
+static bool set_up_handshakes(struct server *server) {
   if (server->tls != NULL) {
     struct worker *worker = &server->workers[server_worker_count(server) - 1];
     server->handshakes = handshakes_new(server, server->tls, worker, listener_admit_tls);
   }
   return (server->tls == NULL || server->handshakes != NULL) || complain("tls", "out of memory");
+}
+
+/* Starts the workers and opens all addresses. What has to be there for a worker comes before them;
+ * metrics come before clients can connect, so that a daemon that is ready can be monitored; the requests
+ * of HTTP run on the last worker. */
+static bool start_services(struct daemon *daemon) {
+  struct server *server = &daemon->server;
+  const struct options *options = &server->options;
+  char why[160];
+  if (options->media != NULL && !media_read(options->media, why, sizeof why)) {
+    return complain(options->media, why);
+  }
+  if (!set_up_tls(server) ||
+      (options->modbus.count > 0 && (server->modbus = modbus_service_new(server)) == NULL) ||
+      !start_workers(daemon) || !set_up_handshakes(server) ||
+      (options->metrics != NULL &&
+       (daemon->metrics = metrics_open(server, options->metrics)) == NULL) ||
+      !open_addresses(daemon) || !open_each(daemon, &options->modbus, serve_modbus_at)) {
+    return false;
+  }
+  if (server->modbus != NULL) {
+    modbus_service_begin(server->modbus);
+  }
+  if (options->http != NULL) {
+    daemon->http = http_service_open(server, &server->workers[options->workers]);
+  }
+  return options->http == NULL || daemon->http != NULL;
 }
 
 static bool is_ignored(int signal_number) {
@@ -452,9 +432,7 @@ static int run_daemon(struct daemon *daemon) {
   }
   raise_descriptor_limit();
   set_up_loop(daemon);
-  daemon->ready = read_media(server) && set_up_tls(server) && set_up_modbus(server) && start_workers(daemon) &&
-                  set_up_handshakes(daemon) && open_metrics(daemon) && open_addresses(daemon) &&
-                  open_modbus(daemon) && open_http(daemon);
+  daemon->ready = start_services(daemon);
   if (daemon->ready) {
     log_line(LOG_LEVEL_INFO, "event=ready workers=%llu isa=%s",
              (unsigned long long)server->options.workers, core_isa_name(server->isa));

@@ -33,10 +33,8 @@ def run(unit: Unit, commit: int, status: int, progress: int, error_text: int) ->
     token = unit.token(status)
 
     def show() -> None:
-        place = int.from_bytes(unit.read(status + 6, 1), "big")
-        before = f", {place} before it" if place else ""
         done = f"{unit.floats(progress, 1)[0]:4.0%}" if progress else "wait"
-        print(f"\r{done}{before} ", end="", file=sys.stderr, flush=True)
+        print(f"\r{done} ", end="", file=sys.stderr, flush=True)
 
     unit.write(commit, "H", token)
     try:

@@ -70,7 +70,7 @@ static void put_registers(void) {
     for (unsigned behind = REGISTERS_BEHIND_DONE; behind <= REGISTERS_BEHIND_COUNT; behind++) {
       print_form(",%u", U(job->status + behind));
     }
-    print_form(",%u,%u,%u]", U(job->place), U(job->progress), U(job->error_text));
+    print_form(",%u,%u]", U(job->progress), U(job->error_text));
   }
   print_form("],'registers':[");
   for (const registers_field *field = registers_fields; field->name != NULL; field++) {

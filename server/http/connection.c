@@ -83,6 +83,10 @@ static const struct options *options_of(const struct http_connection *c) {
   return &c->host->server->options;
 }
 
+static wire_error buffers_full(void) {
+  return wire_error_busy("max_total_bytes", "less data at a time: the buffers are full", 1000);
+}
+
 /* ---- beginning and end ----------------------------------------------------------------------- */
 
 static void open_connection(struct http_host *host, struct MHD_Connection *handle, void **to) {
@@ -299,8 +303,7 @@ static enum MHD_Result send_reply(struct http_connection *c) {
   const bool refused = c->error.status != WIRE_STATUS_OK;
   if (!refused) {
     write_reply(c);
-    c->error = wire_error_busy("max_total_bytes", "less data at a time: the buffers are full",
-                               1000); /* if writing the reply failed */
+    c->error = buffers_full(); /* if writing the reply failed */
   }
   free_payloads(c);
   return refused || c->text.failed ? send_error(c, &c->error, 0) : send_text(c, MHD_HTTP_OK, 0);
@@ -330,7 +333,7 @@ static uint8_t *reserve_reply(void *owner, const struct job *job, wire_error *er
   }
   char *room = http_text_room(&c->reply, (size_t)job->part_bytes);
   c->reply.count = room != NULL ? (size_t)job->part_bytes : 0;
-  *error = wire_error_busy("max_total_bytes", "less data at a time: the buffers are full", 1000);
+  *error = buffers_full();
   return (uint8_t *)room;
 }
 
@@ -444,7 +447,7 @@ static wire_error translate(struct http_connection *c, uint32_t *deadline_ms) {
   const size_t most = (size_t)options_of(c)->max_part_bytes;
   wire_error error;
   if (c->query.failed) {
-    return wire_error_busy("max_total_bytes", "less data at a time: the buffers are full", 1000);
+    return buffers_full();
   }
   json_t *values =
       c->has_body ? http_values_parse(c->body.bytes != NULL ? c->body.bytes : "", c->body.count,
@@ -472,9 +475,9 @@ static enum MHD_Result reply_to_message(struct http_connection *c) {
 
 static enum MHD_Result send_health(struct http_connection *c, enum health health) {
   http_text_begin(&c->text, NULL, '{');
-  http_text_string(&c->text, "status", health_name(health));
-  if (health_reason(health)[0] != '\0') {
-    http_text_string(&c->text, "reason", health_reason(health));
+  http_text_string(&c->text, "status", health_texts[health].name);
+  if (health_texts[health].reason[0] != '\0') {
+    http_text_string(&c->text, "reason", health_texts[health].reason);
   }
   http_text_end(&c->text, '}');
   return send_text(c, health == HEALTH_OK ? MHD_HTTP_OK : MHD_HTTP_SERVICE_UNAVAILABLE, 0);
@@ -605,8 +608,7 @@ static enum MHD_Result take_body(struct http_connection *c, const char *body, si
     http_text_free(&c->body);
   }
   if (c->body.failed) {
-    c->refusal =
-        wire_error_busy("max_total_bytes", "less data at a time: the buffers are full", 1000);
+    c->refusal = buffers_full();
     c->refused = wire_status_http(c->refusal.status);
   }
   *body_bytes = 0;
@@ -646,10 +648,6 @@ enum MHD_Result http_connection_take(void *context, struct MHD_Connection *conne
 }
 
 /* ---- the client of the worker ---------------------------------------------------------------- */
-
-static void start_client(struct client *client) {
-  (void)client; /* nothing to do: libmicrohttpd reads */
-}
 
 static void run_turn(struct client *client) {
   struct http_connection *c = connection_of(client);
@@ -725,7 +723,6 @@ static bool is_busy(const struct client *client) {
 }
 
 static const struct client_kind kind = {
-    .start = start_client,
     .run = run_turn,
     .finish = finish_turn,
     .tick = check_time,

@@ -16,18 +16,15 @@ enum { NAME_DIGITS = 32 };
 
 /* ---- fields ---------------------------------------------------------------------------------- */
 
-static uint64_t get_le(const uint8_t *at, size_t bytes) {
+static uint64_t get_count(const uint8_t *at, size_t bytes) {
   uint64_t number = 0;
-  for (size_t i = 0; i < bytes; i++) {
-    number |= (uint64_t)at[i] << (8 * i);
-  }
+  memcpy(&number, at, bytes);
   return number;
 }
 
 static double get_f64(const uint8_t *at) {
-  const uint64_t bits = get_le(at, sizeof bits);
   double number;
-  memcpy(&number, &bits, sizeof number);
+  memcpy(&number, at, sizeof number);
   return number;
 }
 
@@ -52,14 +49,14 @@ static void write_one(struct http_text *text, const char *key, enum schema_kind 
   if (kind == SCHEMA_f64) {
     http_text_number(text, key, get_f64(at));
   } else {
-    http_text_count(text, key, get_le(at, bytes));
+    http_text_count(text, key, get_count(at, bytes));
   }
 }
 
 static void write_field(struct http_text *text, const schema_field *field, const uint8_t *at) {
   const size_t bytes = schema_field_bytes(field) / field->count;
   if (field->list != NULL) {
-    write_choice(text, field, (unsigned)get_le(at, bytes));
+    write_choice(text, field, (unsigned)get_count(at, bytes));
   } else if (field->kind == SCHEMA_text) {
     char string[129];
     assert(field->count < sizeof string);
@@ -250,7 +247,7 @@ static void write_table(struct http_text *text, const uint8_t *payload) {
   http_text_end(text, '}');
   http_text_begin(text, "words", '[');
   for (uint32_t i = 0; i < fixed.word_count; i++) {
-    http_text_count(text, NULL, get_le(at + i * sizeof(uint32_t), sizeof(uint32_t)));
+    http_text_count(text, NULL, get_count(at + i * sizeof(uint32_t), sizeof(uint32_t)));
   }
   http_text_end(text, ']');
 }
@@ -262,7 +259,7 @@ static void write_fit(struct http_text *text, const uint8_t *design, bool g_is_d
   wire_fit_design assumed;
   wire_get_fit_design(design, &assumed);
   http_text_number(text, "g", assumed.g);
-  http_text_bool(text, "g_is_default", g_is_default);
+  http_text_raw(text, "g_is_default", g_is_default ? "true" : "false");
   http_text_number(text, "eta", assumed.eta);
   wire_get_fit_reply(payload, &fixed);
   const uint8_t *at = write_fields(text, FIELDS(fit_reply), payload);

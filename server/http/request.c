@@ -95,13 +95,6 @@ static bool read_number(const struct translation *t, const json_t *value, double
   return http_value_number(value, t->in_query, number);
 }
 
-/* Writes a number of so many bytes, the lowest first. */
-static void put_le(uint8_t *at, uint64_t number, size_t bytes) {
-  for (size_t i = 0; i < bytes; i++) {
-    at[i] = (uint8_t)(number >> (8 * i));
-  }
-}
-
 /* Adds bytes, which start as 0, to the payload. On failure returns NULL. */
 static uint8_t *add_bytes(struct translation *t, size_t bytes) {
   if (bytes > t->bytes_max - t->payload->count) {
@@ -568,7 +561,8 @@ static bool put_fixed(struct translation *t, const schema_field *fields, size_t 
       return false;
     }
     if (!schema_is_name(field)) {
-      put_le(at, number, schema_field_bytes(field));
+      memcpy(at, &number,
+             schema_field_bytes(field)); /* the lowest byte is the first (proto/wire.c) */
     }
     *offset += schema_field_bytes(field);
     if (http_values_same(field->name, "evaluator")) {

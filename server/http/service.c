@@ -89,15 +89,11 @@ static void stop_client(struct client *client) {
   worker_run_later(client);
 }
 
-static void abort_client(struct client *client) {
-  worker_run_later(client);
-}
-
 static const struct client_kind kind = {.start = start_client,
                                         .run = run_turn,
                                         .tick = check_time,
                                         .stop = stop_client,
-                                        .abort = abort_client};
+                                        .abort = worker_run_later};
 
 /* ---- opening --------------------------------------------------------------------------------- */
 

@@ -222,10 +222,6 @@ void http_text_count(struct http_text *text, const char *key, uint64_t value) {
   http_text_raw(text, key, digits);
 }
 
-void http_text_bool(struct http_text *text, const char *key, bool value) {
-  http_text_raw(text, key, value ? "true" : "false");
-}
-
 void http_text_raw(struct http_text *text, const char *key, const char *json) {
   const size_t length = strlen(json);
   char *at = start_value(text, key, length);

@@ -44,7 +44,6 @@ void http_text_field(struct http_text *text, const schema_field *field, double v
 void http_text_numbers(struct http_text *text, const char *key, const void *values, uint64_t count,
                        bool single); /* values are float if `single`, else double */
 void http_text_count(struct http_text *text, const char *key, uint64_t value);
-void http_text_bool(struct http_text *text, const char *key, bool value);
 
 /* Writes a value that is JSON already. */
 void http_text_raw(struct http_text *text, const char *key, const char *json);

@@ -6,8 +6,6 @@
 
 /* ---- passes ---------------------------------------------------------------------------------- */
 
-_Static_assert(BATCH_PIECES <= 1 << (STATS_BATCH_SIZES - 1), "the last size is for all others");
-
 static size_t value_bytes(const struct batch_group *group) {
   return core_evaluator_bytes(group->slot->profile.evaluator);
 }
@@ -28,7 +26,7 @@ static void evaluate_group(struct batch_group *group, struct stats *stats) {
     memcpy(group->pieces[i].to, from, bytes);
     from += bytes;
   }
-  stats_count_batch(stats, group->piece_count);
+  stats_add(stats, STATS_BATCHES_EVALUATED, 1);
   stats_add(stats, STATS_BATCHED_REQUESTS, group->piece_count);
   group->radius_count = 0;
   group->piece_count = 0;

@@ -231,9 +231,8 @@ static wire_error check_numbers(const struct eval_job *eval) {
   }
   if (fault.field == NULL && eval->request.radii != NULL) {
     const uint64_t count = eval->request.fixed.radius_count;
-    fault = eval->value_bytes == sizeof(float)
-                ? core_numbers_check_f32(count, eval->request.radii)
-                : core_numbers_check_f64(count, eval->request.radii);
+    fault = eval->value_bytes == sizeof(float) ? core_numbers_check_f32(count, eval->request.radii)
+                                               : core_numbers_check_f64(count, eval->request.radii);
   }
   return job_error(fault);
 }
@@ -300,8 +299,7 @@ static const void *slice_radii(const struct eval_job *eval, size_t n) {
 
 /* Returns where the channel's next value of a wanted quantity goes in the reply. */
 static void *array_of(const struct eval_job *eval, enum core_quantity quantity) {
-  return eval->reply +
-         eval_array_offset(&eval->layout, wanted_of(eval), eval->channel, quantity) +
+  return eval->reply + eval_array_offset(&eval->layout, wanted_of(eval), eval->channel, quantity) +
          (size_t)eval->index * eval->value_bytes;
 }
 
@@ -655,9 +653,7 @@ static size_t slice_length(const struct eval_job *eval, double fixed, double cos
  * takes 3.6 ns of a linear and 42 ns of a logarithmic grid, a dipole 1.3 (f32) or 3.8 ns (f64). */
 static double grid_cost(const struct eval_job *eval) {
   const unsigned spacing = eval->request.fixed.spacing;
-  return eval->drawn || spacing == CORE_SPACING_LIST ? 0
-         : spacing == CORE_SPACING_LINEAR                ? 2
-                                                         : 20;
+  return eval->drawn || spacing == CORE_SPACING_LIST ? 0 : spacing == CORE_SPACING_LINEAR ? 2 : 20;
 }
 
 /* Returns the cost of one radius of the channel, in radii of a dipole. */
@@ -677,7 +673,7 @@ static double cost_of(const struct eval_job *eval) {
 
 /* Starts the job. error: what the checks have found. */
 static enum job_outcome admit_eval(struct eval_job *eval, wire_error error,
-                                const struct job_request *request) {
+                                   const struct job_request *request) {
   const wire_eval_request *fixed = &eval->request.fixed;
   if (error.status == WIRE_STATUS_OK) {
     error = cut_reply(eval, &eval->job.context->server->options);
@@ -807,12 +803,8 @@ void eval_job_end(struct job *job) {
   }
 }
 
-const struct job_kind job_kind_EVAL = {.start = start_eval,
-                                       .begin_part = begin_eval_part,
-                                       .step = step_eval,
-                                       .end = eval_job_end};
+const struct job_kind job_kind_EVAL = {
+    .start = start_eval, .begin_part = begin_eval_part, .step = step_eval, .end = eval_job_end};
 
-const struct job_kind job_kind_SAMPLE = {.start = start_sample,
-                                         .begin_part = begin_eval_part,
-                                         .step = step_eval,
-                                         .end = eval_job_end};
+const struct job_kind job_kind_SAMPLE = {
+    .start = start_sample, .begin_part = begin_eval_part, .step = step_eval, .end = eval_job_end};

@@ -19,7 +19,8 @@ enum {
   BATCHES_PER_THREAD = 2,  /* per job: one batch can be walked while another waits to be merged */
   PROGRESS_EVERY_MS = 200, /* a job reports progress at most this often */
   RETRY_AFTER_MS = 1000,   /* retry_after_ms of BUSY: jobs take seconds */
-  BATCHES_MIN = 32, /* the fewest for which standard errors are trusted: they are known to 13 % then */
+  BATCHES_MIN =
+      32, /* the fewest for which standard errors are trusted: they are known to 13 % then */
   /* what a thread walks before it checks whether the job is still wanted: 1 to 4 ms */
   SLICE_SCATTERINGS = 100000,
 };
@@ -159,8 +160,8 @@ static void set_request(struct mc_task *task, const mc_request *wire) {
 
 /* Checks a request. If it is valid, sets all members of the task except those that open_task()
  * allocates. */
-static wire_error check_task(struct mc_task *task, const struct server *server, const uint8_t *payload,
-                         size_t payload_bytes) {
+static wire_error check_task(struct mc_task *task, const struct server *server,
+                             const uint8_t *payload, size_t payload_bytes) {
   mc_request wire = {0};
   *task = (struct mc_task){0};
   wire_error error = mc_request_parse(payload, payload_bytes, &wire);

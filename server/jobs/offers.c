@@ -24,8 +24,7 @@ static core_choose_request request_of(const struct offers_job *offers) {
 /* ---- comparing ------------------------------------------------------------------------------- */
 
 static enum core_evaluator evaluator_of(const struct offers_job *offers) {
-  return offers->eval.value_bytes == sizeof(float) ? CORE_EVALUATOR_F32
-                                                              : CORE_EVALUATOR_F64;
+  return offers->eval.value_bytes == sizeof(float) ? CORE_EVALUATOR_F32 : CORE_EVALUATOR_F64;
 }
 
 /* Gets the profiles of the next model and of transport, for the next medium. *fault: why there is

@@ -44,7 +44,7 @@ static uint64_t row_bytes(const struct points *points) {
 
 /* Makes a set without points, with one reference. Returns NULL if there is no memory. */
 static struct points *new_set(struct server *server, const wire_points_request *request,
-                          uint64_t now_ms) {
+                              uint64_t now_ms) {
   struct points *points = calloc(1, sizeof *points);
   if (points != NULL) {
     points->server = server;
@@ -166,7 +166,8 @@ void points_release(struct points *points) {
 /* ---- adding ---------------------------------------------------------------------------------- */
 
 /* Checks n points, for which there is memory, and adds them. */
-static wire_error add_points(struct points *points, uint64_t n, const double *xyz, const float *power) {
+static wire_error add_points(struct points *points, uint64_t n, const double *xyz,
+                             const float *power) {
   const uint32_t channels = points->channel_count;
   assert(points->next + n <= points->capacity);
   const core_fault fault = core_gather_check_points((size_t)n, xyz, channels, power);

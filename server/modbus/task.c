@@ -42,15 +42,8 @@ static void set_progress(struct modbus_task *task, double progress) {
 }
 
 void modbus_task_refresh(struct modbus_task *task) {
-  const struct job *job = task->run.job;
-  if (task->run.state == RUN_IDLE) {
-    return;
-  }
-  const uint64_t place = job->lookup != NULL ? lookup_place(job->lookup) : 0;
-  registers_set_u16(task->registers, fields_of(task)->place,
-                    place < UINT16_MAX ? (unsigned)place : UINT16_MAX);
-  if (task->owed_radii > 0) {
-    set_progress(task, 1 - (double)job->owed_radii / (double)task->owed_radii);
+  if (task->run.state != RUN_IDLE && task->owed_radii > 0) {
+    set_progress(task, 1 - (double)task->run.job->owed_radii / (double)task->owed_radii);
   }
 }
 
@@ -86,12 +79,6 @@ static void end_run(struct run *run, const wire_error *refusal) {
 static const struct run_sink sink = {
     .reserve = reserve_reply, .commit = commit_reply, .wake = wake_task, .end = end_run};
 
-/* The task has no job any more. */
-static void set_idle(struct modbus_task *task) {
-  task->evaluated = false;
-  registers_set_u16(task->registers, fields_of(task)->place, 0);
-}
-
 /* Runs the job until the budget is spent, the job waits, or it ends. Returns the reason why it has
  * failed, or OK. */
 static wire_error run_job(struct modbus_task *task, uint64_t *budget) {
@@ -102,7 +89,7 @@ static wire_error run_job(struct modbus_task *task, uint64_t *budget) {
     task->evaluated = true;
     worker_finish_later(task->client);
   } else if (task->run.state == RUN_IDLE) {
-    set_idle(task);
+    task->evaluated = false;
     return task->error;
   }
   return wire_error_none();
@@ -210,7 +197,7 @@ bool modbus_task_finish(struct modbus_task *task) {
   wire_error error;
   const enum registers_status status = modbus_translate_reply(
       task->kind, task->request, task->reply, task->reply_bytes, task->registers, &error);
-  set_idle(task);
+  task->evaluated = false;
   if (status == REGISTERS_STATUS_ERROR) {
     fail_job(task, &error);
     return true;
@@ -232,7 +219,7 @@ void modbus_task_expire(struct modbus_task *task, uint64_t named_ms) {
     modbus_task_cancel(task);
   }
   if (run_expire(&task->run)) {
-    set_idle(task);
+    task->evaluated = false;
     fail_job(task, &task->error);
   } else if (task->run.state != RUN_IDLE) {
     watch_task(task, named_ms);
@@ -241,5 +228,5 @@ void modbus_task_expire(struct modbus_task *task, uint64_t named_ms) {
 
 void modbus_task_end(struct modbus_task *task) {
   run_drop(&task->run);
-  set_idle(task);
+  task->evaluated = false;
 }

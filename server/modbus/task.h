@@ -69,7 +69,7 @@ void modbus_task_fail(struct modbus_task *task, const wire_error *error, unsigne
 /* Ends the running job, if any: at once, or soon with its results so far if it is Monte Carlo. */
 void modbus_task_cancel(struct modbus_task *task);
 
-/* Writes progress and place of the running job into the registers. */
+/* Writes the progress of the running job into the registers. */
 void modbus_task_refresh(struct modbus_task *task);
 
 #endif

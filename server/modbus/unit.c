@@ -162,10 +162,9 @@ unsigned modbus_unit_write(struct modbus_unit *unit, unsigned address, unsigned 
 
 void modbus_unit_refresh(struct modbus_unit *unit, unsigned address, unsigned count) {
   for (unsigned kind = 0; kind < REGISTERS_JOBS; kind++) {
-    const registers_job *fields = &registers_jobs[kind];
-    if (registers_include(address, count, fields->place) ||
-        (fields->progress > 0 && (registers_include(address, count, fields->progress) ||
-                                  registers_include(address, count, fields->progress + 1)))) {
+    const unsigned progress = registers_jobs[kind].progress;
+    if (progress > 0 && (registers_include(address, count, progress) ||
+                         registers_include(address, count, progress + 1))) {
       modbus_task_refresh(&unit->tasks[kind]);
     }
   }
@@ -175,10 +174,6 @@ void modbus_unit_refresh(struct modbus_unit *unit, unsigned address, unsigned co
 
 static struct modbus_units *units_of(struct client *client) {
   return (struct modbus_units *)(void *)client;
-}
-
-static void do_nothing(struct client *client) {
-  (void)client;
 }
 
 /* One turn: tasks that run get slices, unit by unit. */
@@ -288,12 +283,8 @@ static void stop_client(struct client *client) {
 }
 
 struct modbus_units *modbus_units_new(struct server *server) {
-  static const struct client_kind kind = {.start = do_nothing,
-                                          .run = run_turn,
-                                          .finish = finish_turn,
-                                          .deadline = check_deadlines,
-                                          .stop = stop_client,
-                                          .abort = do_nothing};
+  static const struct client_kind kind = {
+      .run = run_turn, .finish = finish_turn, .deadline = check_deadlines, .stop = stop_client};
   struct modbus_units *units = calloc(1, sizeof *units);
   if (units != NULL) {
     units->client.kind = &kind;

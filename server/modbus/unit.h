@@ -75,7 +75,7 @@ struct modbus_unit *modbus_units_get(struct modbus_units *units, unsigned number
 unsigned modbus_unit_write(struct modbus_unit *unit, unsigned address, unsigned count,
                            const uint8_t *values, struct client *client);
 
-/* Updates `progress` and `place`, if they are among these registers. */
+/* Updates `progress`, if it is among these registers. */
 void modbus_unit_refresh(struct modbus_unit *unit, unsigned address, unsigned count);
 
 /* Writes the reason why a write was refused into the error registers. at: the address of the

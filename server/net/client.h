@@ -34,13 +34,13 @@ struct worker;
 /* The functions of clients of one kind. The worker calls them on its own thread only. A member may
  * be NULL where its comment says so. */
 struct client_kind {
-  void (*start)(struct client *client);                 /* called once after worker_give() */
+  void (*start)(struct client *client);                 /* once after worker_give(); or NULL */
   void (*run)(struct client *client);                   /* one turn of bounded length */
   void (*finish)(struct client *client);                /* see 3 and 4 above; or NULL */
   void (*tick)(struct client *client, uint64_t now_ms); /* called several times a second; or NULL */
   void (*deadline)(struct client *client); /* called at the time of worker_wake_at(); or NULL */
   void (*stop)(struct client *client);     /* called once when the daemon stops */
-  void (*abort)(struct client *client);    /* called once after the drain timeout */
+  void (*abort)(struct client *client);    /* once after the drain timeout; or NULL */
   /* returns whether abort() would lose replies; or NULL */
   bool (*busy)(const struct client *client);
   /* The listener gives a new connection to the worker with the fewest clients that count. */

@@ -2,7 +2,6 @@
 
 #include <errno.h>
 #include <fcntl.h>
-#include <grp.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -187,40 +186,6 @@ static void remove_file(struct listener *listener) {
   free(listener->unix_path);
 }
 
-static bool set_group(const char *group, const char *url, const char *path) {
-  char why[128];
-  char *end;
-  const struct group *named = getgrnam(group);
-  const unsigned long number = strtoul(group, &end, 10);
-  if (named == NULL && (*group == '\0' || *end != '\0' || number > INT32_MAX)) {
-    snprintf(why, sizeof why, "--socket-group: there is no group '%s'", group);
-    return complain(url, why);
-  }
-  if (chown(path, (uid_t)-1, named != NULL ? named->gr_gid : (gid_t)number) == 0) {
-    return true;
-  }
-  snprintf(why, sizeof why, "--socket-group %s: %s", group, strerror(errno));
-  return complain(url, why);
-}
-
-static bool set_mode(const char *octal, const char *url, const char *path) {
-  char why[128];
-  char *end;
-  const unsigned long mode = strtoul(octal, &end, 8);
-  if (*octal == '\0' || *end != '\0' || mode > 0777) {
-    snprintf(why, sizeof why, "--socket-mode is an octal number up to 0777, not '%s'", octal);
-    return complain(url, why);
-  }
-  return chmod(path, (mode_t)mode) == 0 || complain(url, strerror(errno));
-}
-
-/* Gives the socket's file the group and the mode of the options. Nobody can connect before the
- * socket listens. */
-static bool set_permissions(const struct options *options, const char *url, const char *path) {
-  return (options->socket_group == NULL || set_group(options->socket_group, url, path)) &&
-         (options->socket_mode == NULL || set_mode(options->socket_mode, url, path));
-}
-
 static bool open_unix(struct listener *listener, const char *url, const char *path) {
   struct sockaddr_un address = {.sun_family = AF_UNIX};
   if (*path == '\0' || strlen(path) >= sizeof address.sun_path) {
@@ -240,8 +205,8 @@ static bool open_unix(struct listener *listener, const char *url, const char *pa
     return complain(url, tcp_why_not(errno));
   }
   note_file(listener, path);
-  if (!set_permissions(&listener->server->options, url, path) ||
-      (listen(listener->fd, BACKLOG) != 0 && !complain(url, strerror(errno)))) {
+  if (listen(listener->fd, BACKLOG) != 0) {
+    complain(url, strerror(errno));
     remove_file(listener);
     return false;
   }

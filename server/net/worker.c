@@ -86,7 +86,9 @@ static void run_round(struct worker *worker) {
 void worker_adopt(struct worker *worker, struct client *client) {
   client->worker = worker;
   LIST_INSERT_HEAD(&worker->clients, client, in_clients);
-  client->kind->start(client);
+  if (client->kind->start != NULL) {
+    client->kind->start(client);
+  }
 }
 
 void worker_forget(struct client *client) {
@@ -112,7 +114,9 @@ static void stop_client(struct client *client) {
 /* Aborts a client after the drain timeout. */
 static void abort_client(struct client *client) {
   client->worker->abandoned_count += client->kind->busy != NULL && client->kind->busy(client);
-  client->kind->abort(client);
+  if (client->kind->abort != NULL) {
+    client->kind->abort(client);
+  }
 }
 
 static void tell_deadline(struct client *client) {

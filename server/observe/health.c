@@ -25,23 +25,12 @@ enum health health_readiness(const struct server *server) {
   return health == HEALTH_OK && overloaded ? HEALTH_OVERLOADED : health;
 }
 
-static const struct {
-  const char *name;
-  const char *reason;
-} texts[] = {
+const struct health_text health_texts[] = {
     [HEALTH_OK] = {"ok", ""},
     [HEALTH_DRAINING] = {"draining", ""},
     [HEALTH_STALLED] = {"stalled", "no worker has finished a turn for 3 s"},
     [HEALTH_OVERLOADED] = {"overloaded", "a request was refused with BUSY within the last second"},
 };
-
-const char *health_name(enum health health) {
-  return texts[health].name;
-}
-
-const char *health_reason(enum health health) {
-  return texts[health].reason;
-}
 
 void health_note_refusal(struct server *server, const wire_error *error) {
   if (error->status == WIRE_STATUS_BUSY && strcmp(error->field, LOOKUP_FIELD_BUSY) != 0) {

@@ -25,8 +25,8 @@ enum health health_of(const struct server *server);
 /* Returns whether the daemon serves and has capacity for more clients. */
 enum health health_readiness(const struct server *server);
 
-const char *health_name(enum health health);   /* ok, draining, stalled or overloaded */
-const char *health_reason(enum health health); /* a sentence; empty for HEALTH_OK and _DRAINING */
+/* The name of each, as ok, and the reason: a sentence, or empty. */
+extern const struct health_text { const char *name, *reason; } health_texts[];
 
 /* Notes that a request or a connection was refused. Only BUSY for lack of the daemon's capacity
  * counts: a client that exceeds its own share does not make the daemon overloaded. */

@@ -181,9 +181,9 @@ __attribute__((format(printf, 1, 2))) static char *print_text(const char *format
 }
 
 static char *health_text(enum health health, unsigned *status) {
-  const char *reason = health_reason(health);
+  const char *reason = health_texts[health].reason;
   *status = health == HEALTH_OK ? MHD_HTTP_OK : MHD_HTTP_SERVICE_UNAVAILABLE;
-  return print_text("%s%s%s\n", health_name(health), reason[0] != '\0' ? ": " : "", reason);
+  return print_text("%s%s%s\n", health_texts[health].name, reason[0] != '\0' ? ": " : "", reason);
 }
 
 /* Returns the text of the reply to a request, which the caller frees, and its status. Returns NULL if

@@ -81,29 +81,6 @@ static void report_models(const struct reporter *to) {
 #include "core/models.def"
 }
 
-/* ---- batch sizes ----------------------------------------------------------------------------- */
-
-/* Reports the batch sizes as a histogram of Prometheus: cumulative counts, then the sum and the
- * count.
- */
-static void report_batches(const struct reporter *to) {
-  static const struct report_family family = {"batch_requests", REPORT_HISTOGRAM,
-                                              "arrays of short evals in one pass of a kernel"};
-  uint64_t count = 0;
-  for (unsigned size = 0; size + 1 < STATS_BATCH_SIZES; size++) {
-    char name[48];
-    char labels[48];
-    snprintf(name, sizeof name, "batches_up_to_%u_requests", 1U << size);
-    snprintf(labels, sizeof labels, "le=\"%u\"", 1U << size);
-    count += counted(to, STATS_BATCHES + size);
-    report(to, name, &family, "_bucket", labels, count);
-  }
-  count += counted(to, STATS_COUNT - 1);
-  report(to, NULL, &family, "_bucket", "le=\"+Inf\"", count);
-  report(to, NULL, &family, "_sum", "", counted(to, STATS_BATCHED_REQUESTS));
-  report(to, NULL, &family, "_count", "", count);
-}
-
 /* ---- latencies ------------------------------------------------------------------------------- */
 
 static void report_ns(const struct reporter *to, const char *name,
@@ -170,6 +147,5 @@ void report_each(const struct server *server,
   report_requests(&to);
   report_replies(&to);
   report_models(&to);
-  report_batches(&to);
   report_latencies(&to);
 }

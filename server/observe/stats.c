@@ -21,9 +21,3 @@ void stats_count_radii(struct stats *stats, unsigned model, uint64_t radii) {
   };
   stats_add(stats, (enum stats_index)index_of[model], radii);
 }
-
-void stats_count_batch(struct stats *stats, uint64_t requests) {
-  const unsigned size = requests > 1 ? 64 - (unsigned)__builtin_clzll(requests - 1) : 0;
-  const unsigned last = STATS_BATCH_SIZES - 1;
-  stats_add(stats, (enum stats_index)(STATS_BATCHES + (size < last ? size : last)), 1);
-}

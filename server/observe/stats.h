@@ -7,9 +7,6 @@
 #include <stddef.h>
 #include <stdint.h>
 
-/* Batches are counted by size: up to 1, 2, 4, 8, ... requests. The last size has no limit. */
-enum { STATS_BATCH_SIZES = 10 };
-
 enum stats_index {
 #define SERVER_STATISTIC(IDENT, name, type, help) STATS_##IDENT,
 #include "server/observe/stats.def"
@@ -24,8 +21,7 @@ enum stats_index {
   STATS_RADII_##IDENT,
 #define CORE_SUM(id, IDENT, name, FIRST, SECOND, source) STATS_RADII_##IDENT,
 #include "core/models.def"
-  STATS_BATCHES, /* first counter of the batches by size */
-  STATS_COUNT = STATS_BATCHES + STATS_BATCH_SIZES
+  STATS_COUNT
 };
 
 /* Each worker has its own shard, which no other thread writes. All other threads share the
@@ -77,7 +73,6 @@ static inline uint64_t stats_get(const struct stats *stats, enum stats_index ind
 
 void stats_count_reply(struct stats *stats, unsigned status); /* of proto/statuses.def */
 void stats_count_radii(struct stats *stats, unsigned model,
-                       uint64_t radii);                         /* of core/models.def */
-void stats_count_batch(struct stats *stats, uint64_t requests); /* at least 1 */
+                       uint64_t radii); /* of core/models.def */
 
 #endif

@@ -13,7 +13,7 @@ enum {
   LISTS = 3,         /* things that are fast to prepare, slow ones, and those apart */
   APART = 2,         /* index of the list of things apart */
   THREADS_MOST = 2,  /* that prepare in each lane */
-  SOLVE_NICE = 5, /* which gives a third of the share of a worker on its core */
+  SOLVE_NICE = 5,    /* which gives a third of the share of a worker on its core */
 };
 
 struct cache_entry {
@@ -437,29 +437,6 @@ static enum lookup_state look_up(struct cache *cache, struct lookups *at, struct
   return LOOKUP_READY;
 }
 
-/* Returns how many turns come before that of a waiter. Its owner has `turns` turns before. An owner
- * that comes earlier in a round has one turn more than that, if it has enough waiters. */
-static uint64_t place_of(const struct lookup *waiter) {
-  const struct lane *lane = lane_of(waiter->awaited);
-  uint64_t turns = 0;
-  for (const struct lookup *before = waiter;
-       (before = TAILQ_PREV(before, cache_waiting, in_queue)) != NULL;) {
-    turns++;
-  }
-  uint64_t place = turns + lane->turn_count;
-  bool earlier = true;
-  const struct cache_queue *queue;
-  TAILQ_FOREACH(queue, &lane->turns, in_turns) {
-    if (queue == waiter->queued_for) {
-      earlier = false;
-    } else {
-      const uint64_t most = turns + earlier;
-      place += queue->count < most ? queue->count : most;
-    }
-  }
-  return place;
-}
-
 /* ---- public: takes the mutex ----------------------------------------------------------------- */
 
 struct cache *cache_new(const core_isa *isa, uint64_t limit_bytes, uint64_t apart_bytes,
@@ -545,17 +522,6 @@ void cache_end_turn(struct cache_entry *entry) {
   lane_of(entry)->turn_count--;
   uv_mutex_unlock(&cache->mutex);
   cache_release(entry);
-}
-
-uint64_t lookup_place(const struct lookup *lookup) {
-  if (lookup->awaited == NULL) {
-    return 0;
-  }
-  struct cache *cache = lookup->awaited->cache;
-  uv_mutex_lock(&cache->mutex);
-  const uint64_t place = lookup->queued_for != NULL ? place_of(lookup) : 0;
-  uv_mutex_unlock(&cache->mutex);
-  return place;
 }
 
 void cache_move_waiters(struct cache *cache, struct cache_owner *from, struct cache_owner *to) {

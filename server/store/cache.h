@@ -164,10 +164,6 @@ static inline void lookup_return(struct lookup *lookup) {
 /* Counts in the statistics of the cache. */
 void lookup_count(const struct lookups *lookups, bool hit);
 
-/* Returns how many preparations come before the one that a lookup waits for; 0 if that has begun, or it
- * does not wait. Lookups that come or give up change the number. */
-uint64_t lookup_place(const struct lookup *lookup);
-
 /* The fields of faults: the owner has max_waiting_profiles waiters already; the thing is not there
  * and cannot be prepared here. */
 #define LOOKUP_FIELD_BUSY "max_waiting_profiles"

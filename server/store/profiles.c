@@ -294,7 +294,7 @@ void profiles_end(struct profiles *profiles) {
 
 /* The key is that of a profile, whose medium has 0 in place of sigma_a and sigma_s. */
 static core_fault prepare_varying(void *thing, const struct cache_key *key, const core_isa *isa,
-                          const atomic_bool *stop) {
+                                  const atomic_bool *stop) {
   const struct profiles_key *from = key->content;
   core_parameters parameters = {.layer_count = 1};
   (void)stop;
@@ -312,9 +312,9 @@ static uint64_t varying_bytes(const void *thing) {
 }
 
 static const struct cache_kind varyings_kind = {.thing_bytes = sizeof(core_varying),
-                                       .prepare = prepare_varying,
-                                       .free = free_varying,
-                                       .bytes = varying_bytes};
+                                                .prepare = prepare_varying,
+                                                .free = free_varying,
+                                                .bytes = varying_bytes};
 
 enum lookup_state varyings_get(struct lookups *lookups, struct lookup *lookup, unsigned model,
                                unsigned moments, unsigned evaluator,

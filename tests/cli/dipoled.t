@@ -114,11 +114,6 @@ $ for one in localhost 10.0.0.0/33 10.0.0.0/ ''; do dipoled --listen tcp:127.0.0
 ! dipoled: --allow takes numeric addresses, as 192.0.2.7 or 192.0.2.0/24, not '10.0.0.0/'
 ! dipoled: --allow takes numeric addresses, as 192.0.2.7 or 192.0.2.0/24, not ''
 
-$ dipoled --listen unix:w --socket-mode 888; dipoled --listen unix:w --socket-mode 1777; dipoled --listen unix:w --socket-group 'no such group'; ls
-! dipoled: cannot listen at unix:w: --socket-mode is an octal number up to 0777, not '888'
-! dipoled: cannot listen at unix:w: --socket-mode is an octal number up to 0777, not '1777'
-! dipoled: cannot listen at unix:w: --socket-group: there is no group 'no such group'
-
 ## Modbus.
 $ export DIPOLED_LISTEN=unix:w DIPOLED_LOG_LEVEL=error; for one in 127.0.0.1:502 tcp:127.0.0.1 unix:/nonexistent rtu:,9600; do dipoled --modbus "$one" || echo $?; done
 1

@@ -242,22 +242,6 @@ def test_a_client_that_is_not_allowed_does_not_try_again(daemon):
     assert sum("event=connection-refused" in line for line in one.log) <= 3
 
 
-@pytest.mark.parametrize("mode", [0o600, 0o660, 0o666, 0o000])
-def test_mode_of_the_socket(daemon, folder, mode):
-    one = daemon("--socket-mode", f"{mode:04o}", listen=[f"unix:{folder}/{mode:o}"])
-    assert stat.S_IMODE((folder / f"{mode:o}").stat().st_mode) == mode
-    if mode & 0o200:
-        with one.connect() as connection:
-            assert_serves(connection)
-
-
-def test_group_of_the_socket(daemon, folder):
-    group = os.getgroups()[-1] if os.getgroups() else os.getgid()
-    daemon("--socket-group", str(group), "--socket-mode", "0660", listen=[f"unix:{folder}/g"])
-    made = (folder / "g").stat()
-    assert made.st_gid == group and stat.S_IMODE(made.st_mode) == 0o660
-
-
 # ---- an inherited connection ---------------------------------------------------------------------
 
 

@@ -115,12 +115,7 @@ def test_every_line_is_right(watched):
         buckets = [value for key, value in latencies.items() if f'_bucket{{class="{kind}"' in key]
         assert len(buckets) == 26 and buckets == sorted(buckets)
         assert buckets[-1] == latencies[f'dipoled_latency_seconds_count{{class="{kind}"}}']
-    type, batches = families["dipoled_batch_requests"]
-    assert type == "histogram"
-    buckets = [value for key, value in batches.items() if "_bucket" in key]
-    assert buckets == sorted(buckets)
-    assert buckets[-1] == batches["dipoled_batch_requests_count"] == 1
-    assert list(batches)[-3] == 'dipoled_batch_requests_bucket{le="+Inf"}'
+    assert families["dipoled_batches_evaluated_total"][1] == {"dipoled_batches_evaluated_total": 1}
     models = families["dipoled_model_radii_total"][1]
     assert set(models) == {f'dipoled_model_radii_total{{model="{name}"}}' for name in MODELS}
 

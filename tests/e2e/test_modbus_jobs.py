@@ -39,11 +39,10 @@ class Head(NamedTuple):
     error_address: int
     sequence: int
     count: int
-    place: int
 
 
 def head(master: Tcp, kind: str, unit: int = 1) -> Head:
-    return Head(*as_words(master.read(AT[f"{kind}_STATUS".lstrip("_")], 7, unit)))
+    return Head(*as_words(master.read(AT[f"{kind}_STATUS".lstrip("_")], 6, unit)))
 
 
 def ended(master: Tcp, kind: str, unit: int = 1) -> Head:
@@ -121,7 +120,7 @@ def test_an_invert_has_the_wires_values(master, client, given):
     assert ended(master, "INVERT", unit)[:2] == (DONE, 1)
     setting(master, unit, INVERT_MEDIUM_COUNT=3, INVERT_ALBEDO=floats(*albedos))
     setting(master, unit, INVERT_LENGTH=floats(*lengths), INVERT_COMMIT=2)
-    assert ended(master, "INVERT", unit) == (DONE, 2, 0, 0, 2, 3, 0)
+    assert ended(master, "INVERT", unit) == (DONE, 2, 0, 0, 2, 3)
     how = {"given": given, "g": 0.25, "eta": single([1.4])[0]}
     expected = client.invert("single", single(albedos), single(lengths), **how)
     for field, values in [
@@ -291,23 +290,6 @@ def test_an_eval_can_be_cancelled(daemon):
         master.write_one(AT["CANCEL"], 1, 29)
         assert master.job(29)[:3] == (CANCELLED, 0, 0)
         assert run_job(master, 29, input_block(2, SKIN, [1.0]))[:3] == (DONE, 2, 0)
-
-
-@pytest.mark.parametrize("kind", ["SAMPLE", "INVERT"])
-def test_a_job_has_a_place_in_the_queue(daemon, kind):
-    """One profile is prepared after the other, or two at a time: the last master's place is that of
-    all before it, and gets less."""
-    one = daemon(*TCP)
-    with Tcp(one) as master:
-        for unit in range(2, 30):
-            master.write(100, input_block(1, slow_medium(unit), [1.0], **SLOW), unit)
-        commit_slow(master, kind)
-        first = head(master, kind).place
-        assert 20 < first <= 28
-        assert as_words(master.read(AT["PLACE"], 1, 28))[0] < 28
-        assert eventually(lambda: head(master, kind).place < first)
-        master.write_one(AT[f"{kind}_CANCEL"], 1)
-        assert head(master, kind).place == 0
 
 
 @pytest.mark.parametrize("kind", ["SAMPLE", "INVERT", "EVAL"])

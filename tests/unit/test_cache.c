@@ -301,40 +301,24 @@ UNIT_TEST(what_nobody_waits_for_is_not_prepared) {
 
 /* ---- turns ----------------------------------------------------------------------------------- */
 
-/* Three owners have 6, 3 and 1 waiters. The place of a waiter is the number of turns that come
- * before its own. */
-UNIT_TEST(a_place_is_the_number_of_preparations_before) {
+/* Three owners have 6, 3 and 1 waiters, and take turns. */
+UNIT_TEST(owners_take_turns) {
   enum { MANY = 10 };
   struct fixture f;
   open_cache(&f, 1 << 20);
   struct cache_owner second = {0}, third = {0};
   struct lookup waiters[MANY] = {new_lookup(&f.owner)};
-  uint64_t places[MANY];
-  assert_int_equal(lookup_place(&waiters[0]), 0);
+  static const uint64_t turns[MANY] = {0, 3, 5, 7, 8, 9, 1, 4, 6, 2};
   for (size_t i = 0; i < MANY; i++) {
     waiters[i] = new_lookup(i < 6 ? &f.owner : i < 9 ? &second : &third);
     wait_for(&f, i, &waiters[i]);
   }
-  for (size_t i = 0; i < MANY; i++) {
-    places[i] = lookup_place(&waiters[i]);
-  }
   for (uint64_t turn = 0; turn < MANY; turn++) {
     for (size_t i = 0; i < MANY; i++) {
-      assert_int_equal(waiters[i].queued_for != NULL, places[i] >= turn);
-      assert_int_equal(lookup_place(&waiters[i]), places[i] > turn ? places[i] - turn : 0);
+      assert_int_equal(waiters[i].queued_for != NULL, turns[i] >= turn);
     }
     assert_int_equal(take_turns(f.server.cache, 1), 1);
   }
-  struct cache_entry *entry;
-  lookup_return(&waiters[0]);
-  wait_for(&f, MANY, &waiters[0]);
-  lookup_return(&waiters[1]);
-  wait_for(&f, MANY + 1, &waiters[1]);
-  entry = cache_begin_turn(f.server.cache, CACHE_SLOW);
-  assert_int_equal(lookup_place(&waiters[0]), 0);
-  assert_int_equal(lookup_place(&waiters[1]), 1); /* behind the preparation that has begun */
-  cache_prepare(entry);
-  cache_end_turn(entry);
   for (size_t i = 0; i < MANY; i++) {
     lookup_return(&waiters[i]);
   }
@@ -391,9 +375,7 @@ UNIT_TEST(solutions_hold_up_nothing_else) {
     most++;
   }
   assert_in_range(most, 1, MANY - 1);
-  assert_int_equal(lookup_place(&solved[MANY - 1]), MANY - 1);
   assert_true(look_at_pace(&f, &table, MANY, CACHE_SLOW) == LOOKUP_WAIT);
-  assert_int_equal(lookup_place(&table), 0);
   assert_int_equal(take_turns(f.server.cache, MANY), 1);
   lookups_wake(&f.lookups);
   assert_true(look_at_pace(&f, &table, MANY, CACHE_SLOW) == LOOKUP_READY);
