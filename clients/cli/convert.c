@@ -197,7 +197,7 @@ static double colour_by(enum colour_kind kind, double absorbed, double g) {
  * 2015). */
 static double per_burley(enum length_kind kind, double colour) {
   const double off = fabs(colour - 0.8);
-  return kind == BLENDER  ? 4 * acos(-1) * (1.9 - colour + 3.5 * off * off)
+  return kind == BLENDER  ? 4 * acos(-1)
          : kind == UNREAL ? 0.6 * (1.85 - colour + 7 * off * off * off)
                           : 1;
 }

@@ -1,9 +1,12 @@
-"""Renders white furnaces: `blender -b --factory-startup --python scene.py -- SCENE.json MEANS.json`.
+"""Renders white furnaces, or edges of shadow if SCENE has "edge": `blender -b --factory-startup --python
+scene.py -- SCENE.json MEANS.json`.
 
-A camera that sees in parallel looks straight down on slabs of 1 m, each in uniform white light. A slab
-of SCENE is {"lines": Python that sets the inputs of `bsdf`, a Principled BSDF} or {"eta", "g",
+A camera that sees in parallel looks straight down on slabs of 1 m, each in uniform white light, or in a
+sun straight above that reaches the right half and which a white diffuse surface returns as 1. A slab of
+SCENE is {"lines": Python that sets the inputs of `bsdf`, a Principled BSDF} or {"eta", "g",
 "sigma_a", "sigma_s"}: a volume of coefficients in 1/m, three each, behind a smooth glass. MEANS gets
-for each slab the mean and its standard error, of red, green and blue, off the slab's edges."""
+for each slab the mean and its standard error, of red, green and blue, off the slab's edges; of edges
+of shadow those of each column of pixels."""
 
 from __future__ import annotations
 
@@ -13,7 +16,7 @@ import sys
 import bpy  # type: ignore[import]
 import numpy as np
 
-SIDE = 40  # pixels of a slab
+ROWS, EDGE = 40, 200  # pixels of a slab, and of one with an edge from left to right
 
 
 def principled(tree, slab) -> None:
@@ -46,7 +49,22 @@ def volume(tree, slab) -> None:
         tree.links.new(part.outputs[0], socket)
 
 
-def render(scene, slabs, samples: int, file: str) -> None:
+def light_edges(scene, count: int) -> None:
+    sun = bpy.data.objects.new("sun", bpy.data.lights.new("sun", "SUN"))
+    sun.data.energy, sun.data.angle = np.pi, 0
+    scene.collection.objects.link(sun)
+    black = bpy.data.materials.new("black")
+    black.diffuse_color = (0, 0, 0, 1)
+    black.use_nodes = True
+    black.node_tree.nodes.clear()
+    for i in range(count):
+        bpy.ops.mesh.primitive_plane_add(size=1, location=(i - 0.25, 0, 2))
+        bpy.context.object.data.materials.append(black)
+        bpy.context.object.scale = (0.5, 2, 1)
+        bpy.context.object.visible_camera = False
+
+
+def render(scene, slabs, samples: int, side: int, file: str) -> None:
     scene.render.engine = "CYCLES"
     cycles = scene.cycles
     cycles.device, cycles.samples = "CPU", samples
@@ -57,7 +75,10 @@ def render(scene, slabs, samples: int, file: str) -> None:
     cycles.pixel_filter_type, cycles.filter_width = "BOX", 0.01
     scene.world = bpy.data.worlds.new("white")
     scene.world.use_nodes = True
-    scene.world.node_tree.nodes["Background"].inputs[0].default_value = (1, 1, 1, 1)
+    white = float(side == ROWS)
+    scene.world.node_tree.nodes["Background"].inputs[0].default_value = (white, white, white, 1)
+    if side == EDGE:
+        light_edges(scene, len(slabs))
     for i, slab in enumerate(slabs):
         bpy.ops.mesh.primitive_cube_add(size=1, location=(i, 0, 0))
         material = bpy.data.materials.new(f"slab {i}")
@@ -70,7 +91,7 @@ def render(scene, slabs, samples: int, file: str) -> None:
     scene.camera = camera
     camera.data.type, camera.data.ortho_scale = "ORTHO", len(slabs)
     camera.location = ((len(slabs) - 1) / 2, 0, 5)
-    scene.render.resolution_x, scene.render.resolution_y = SIDE * len(slabs), SIDE
+    scene.render.resolution_x, scene.render.resolution_y = side * len(slabs), ROWS
     scene.render.threads_mode, scene.render.threads = "FIXED", 2
     scene.view_settings.view_transform = "Raw"
     scene.render.image_settings.file_format = "OPEN_EXR"
@@ -84,13 +105,15 @@ def main() -> None:
     with open(source) as file:
         asked = json.load(file)
     bpy.ops.wm.read_factory_settings(use_empty=True)
-    render(bpy.context.scene, asked["slabs"], asked["samples"], target + ".exr")
+    side = EDGE if asked.get("edge") else ROWS
+    render(bpy.context.scene, asked["slabs"], asked["samples"], side, target + ".exr")
     image = bpy.data.images.load(target + ".exr")
     image.colorspace_settings.name = "Non-Color"
-    pixels = np.array(image.pixels[:]).reshape(SIDE, -1, 4)[..., :3]
+    pixels = np.array(image.pixels[:]).reshape(ROWS, -1, 4)[..., :3]
     means = []
     for i in range(len(asked["slabs"])):
-        part = pixels[4:-4, i * SIDE + 4 : (i + 1) * SIDE - 4].reshape(-1, 3)
+        part = pixels[:, i * side : (i + 1) * side]
+        part = part if side == EDGE else part[4:-4, 4:-4].reshape(-1, 3)
         means.append([part.mean(0).tolist(), (part.std(0) / len(part) ** 0.5).tolist()])
     with open(target, "w") as file:
         json.dump(means, file)

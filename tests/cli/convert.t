@@ -73,8 +73,8 @@ $ dipole convert --from coefficients --medium skin1 --eta 1.4 --to blender-burle
 # bsdf: the node Principled BSDF
 bsdf.inputs["Subsurface Weight"].default_value = 1
 bsdf.inputs["Base Color"].default_value[:3] = (0.400295964, 0.186303119, 0.0988926809)
-bsdf.inputs["Subsurface Radius"].default_value[:3] = (1, 0.561480519, 0.289706929)
-bsdf.inputs["Subsurface Scale"].default_value = 31.6351052
+bsdf.inputs["Subsurface Radius"].default_value[:3] = (1, 0.381287654, 0.169377877)
+bsdf.inputs["Subsurface Scale"].default_value = 15.3652336
 ! dipole convert: blender-burley cannot say the index, 1.4
 ! dipole convert: blender-burley has Burley's profile alone: the length is that whose shadow edge is the nearest
 
