@@ -228,8 +228,10 @@ static double rate_of(const struct grid *of, const struct solver_layers *all) {
 #define LIKE_MOST 8.0
 #define LIKE_FINE 0.7
 
-#define NOISE_BELOW 0.35
-#define NOISE_RISES 2
+#define NOISE_BELOW 0.9
+#define NOISE_RISES 1.3
+#define NOISE_FROM 2.0
+enum { NOISE_NODES = 2 };
 #define PATH_RATE_LEAST 1e-9
 
 /* Returns the optical depth of layer `first`, including adjacent layers with the same medium. */
@@ -306,26 +308,41 @@ static void place_wavenumbers(struct grid *to, const struct solver_layers *of,
   above->tier_end[TIERS - 1] = creal(above->point[above->panels]);
 }
 
-/* T falls, where it crosses thick layers as e^(-k depth), and from where on it is smaller than what
- * the functions of angle do not resolve, k^2 T rises again. Sets *to to the panels up to there, and
- * returns whether it is less than all. */
-static bool cut_noise(exitance_grid *to, const exitance_grid *all, const double complex *values) {
+/* k^2 T falls from its peak on, where it crosses thick layers as e^(-k thickness). Where it rises
+ * again, it is smaller than what the functions of angle do not resolve: *to is set to the panels up
+ * to there, T falls on as before in the last one, and true is returned. Below NOISE_FROM over the
+ * thickness, the pole of light far away has k^2 T fall and rise. */
+static bool cut_noise(exitance_grid *to, const exitance_grid *all, double thickness,
+                      double complex *values) {
   double most = 0, least = 0;
   size_t at = 0;
   bool rises = false;
   for (size_t node = 0; node < all->panels * all->nodes && !rises; node++) {
-    const double size = fn_abs(values[node]) * fn_norm2(solver_exitance_wavenumber(all, node));
-    if (size > most) {
-      most = least = size;
+    const double complex k = solver_exitance_wavenumber(all, node);
+    const double size = fn_abs(values[node]) * fn_norm2(k);
+    const bool fell = least < NOISE_BELOW * most;
+    const bool peaks = creal(k) * thickness < NOISE_FROM || (size > most && !fell);
+    rises = !peaks && fell && least > 0 && size > NOISE_RISES * least;
+    most = peaks ? size : most;
+    if (peaks || size <= least) {
+      least = size;
+      at = node;
     }
-    at = size <= least ? node : at;
-    least = fmin(least, size);
-    rises = least < NOISE_BELOW * most && size > NOISE_RISES * least;
   }
   *to = *all;
   if (rises) {
-    to->panels = (at + all->nodes / 2) / all->nodes;
+    to->panels = at / all->nodes + 1;
     to->tier_end[TIERS - 1] = creal(to->point[to->panels]);
+    /* The least values have noise in them. */
+    const size_t last = at < 2 * NOISE_NODES ? at : at - NOISE_NODES;
+    const size_t before = last < NOISE_NODES ? 0 : last - NOISE_NODES;
+    const double complex k = solver_exitance_wavenumber(all, last);
+    const double complex way = k - solver_exitance_wavenumber(all, before);
+    const double complex falls =
+        fn_clog(values[before] * fn_inverse(values[last])) * fn_inverse(way);
+    for (size_t node = last + 1; node < to->panels * all->nodes; node++) {
+      values[node] = values[last] * fn_cexp(-falls * (solver_exitance_wavenumber(all, node) - k));
+    }
   }
   return rises;
 }
@@ -411,6 +428,10 @@ static bool solve_grid(struct grid *to, const struct solver_layers *of, const co
   for (size_t tier = 0; tier < TIERS && ok; tier++) {
     ok = solve_tier(to, of, isa, by, tier, values, nodes, stop);
   }
+  double thickness = 0;
+  for (size_t i = 0; i < of->count; i++) {
+    thickness += to->layer[i].thickness;
+  }
   for (size_t side = 0; side < SIDES && ok; side++) {
     const bool above = side == 0, alike = above && to->like < of->count;
     const size_t i = alike ? to->like : above ? 0 : of->count - 1;
@@ -422,7 +443,7 @@ static bool solve_grid(struct grid *to, const struct solver_layers *of, const co
     exitance_grid *grid = &to->wavenumbers[side];
     grid->isa = isa;
     const exitance_grid all = *grid;
-    const bool cut = !above && cut_noise(grid, &all, values + nodes);
+    const bool cut = !above && cut_noise(grid, &all, thickness, values + nodes);
     const double complex *all_values = values + side * nodes;
     ok = solver_exitance_make(&to->exitance[side], grid, !cut, cut ? 0 : far,
                               alike && i == 0 ? values + SIDES * nodes : all_values, all_values);

@@ -167,6 +167,31 @@ UNIT_TEST(a_slab_is_that_of_van_de_hulst) {
   solver_layers_free(solution);
 }
 
+/* T of leaves: Monte Carlo of 2e6 photons with its standard errors, at 3 % wide rings. Far away, light
+ * in a slab spreads evenly to both sides. */
+UNIT_TEST(a_slab_that_absorbs_nothing_sends_as_much_light_to_both_sides) {
+  static const solver_layer slab[] = {
+      {0, 20, 0.8, 1.4, 0.2}, {0, 30, 0.5, 1, 0.1}, {0, 50, 0.9, 1.5, 0.4}};
+  static const double walked[][3] = {{0.1314, 1.26318, 0.012},
+                                     {0.1971, 0.455038, 0.0041},
+                                     {0.4434, 0.11658, 0.0011},
+                                     {0.9976, 0.0126325, 0.00018}};
+  for (size_t i = 0; i < sizeof slab / sizeof *slab; i++) {
+    solver_layers *solution = solved(&slab[i], 1, 1);
+    const double far_mm = 6 * slab[i].thickness_mm;
+    const transport_number R = solver_layers_at(solution, 0, far_mm);
+    const transport_number T = solver_layers_at(solution, 1, far_mm);
+    assert_true(fabs(R.value - T.value) <= R.error + T.error + 1e-4 * R.value);
+    assert_true(R.error < 0.02 * R.value && T.error < 0.02 * T.value);
+    for (size_t j = 0; i == 0 && j < sizeof walked / sizeof *walked; j++) {
+      const transport_number near = solver_layers_at(solution, 1, walked[j][0]);
+      assert_true(fabs(near.value - walked[j][1]) <= near.error + 3 * walked[j][2]);
+      assert_true(near.error <= 0.05 * near.value);
+    }
+    solver_layers_free(solution);
+  }
+}
+
 UNIT_TEST(a_half_space_may_be_cut_anywhere) {
   static const solver_layer whole = {0.1, 8, 0.7, 1.4, DEEP};
   solver_layer cut[3] = {whole, whole, whole};
