@@ -547,7 +547,7 @@ typedef struct dipole_invert_query {
   bool specular;    /* whether the albedos contain what the surface itself reflects (Fresnel) */
   double g, eta;    /* of all media */
   const double *albedos;    /* [medium_count], 0 to 1: for a beam the integral of 2 pi r R(r) */
-  const double *lengths_mm; /* [medium_count], 1e-14 to 1e14 */
+  const double *lengths_mm; /* [medium_count], 1e-14 to 1e14; for other units multiply */
   uint64_t medium_count; /* At least 1. The lists must fit into a frame (limit max_frame_bytes). For
                            a model that takes seconds to prepare, such as transport, the limit
                            max_media holds as well. */

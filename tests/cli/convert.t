@@ -23,7 +23,7 @@ channel    colour  length     sigma_a   sigma_s  g  eta  scattered  shows  as gi
 ! dipole convert: materialx cannot say the index, 1.5
 
 $ dipole convert --from openpbr --colour .808 --length 1 --eta 1.35 --to cycles
-from openpbr, to cycles, as in Blender 4, Principled BSDF, Random Walk, note its walk lets light out without refraction: colours to type make up for it at normal incidence
+from openpbr, to cycles, as in Blender 4, Principled BSDF, Random Walk, note its walk lets light out without refraction: colours to type make up for it at normal incidence, and come out up to .05 brighter in a dome
 
 channel    colour  length     sigma_a   sigma_s  g   eta  scattered  shows  as given
                                  1/mm      1/mm

@@ -31,8 +31,8 @@ async def invert(
 ) -> Inversion:
     """Finds media that have given diffuse albedos under a model.
 
-    albedo: from 0 to 1, of any shape, such as a texture [H, W, 3]. length: mm, of a shape that
-    can be broadcast with that of albedo. Where the model cannot reach an albedo, the medium is
+    albedo: from 0 to 1, of any shape, such as a texture [H, W, 3]. length: mm (for other
+    units multiply), of a shape that can be broadcast with that of albedo. Where the model cannot reach an albedo, the medium is
     NaN. options: given names the kind of length, from info.choices["length"]. The default,
     "mean-free-path", is 1 / (sigma_a + sigma_s (1 - g)). light: "beam" or, with transport,
     "diffuse". specular: whether the albedos, which are linear, contain what the surface itself
