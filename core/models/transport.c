@@ -71,7 +71,7 @@ enum coefficient {
   BY_SIGMA_A,
   BY_SIGMA_S,
   ENERGY, /* position of the table of the energy */
-  BELOW,  /* position of the same coefficients of T, without the energy; 0: T is 0 */
+  BELOW,  /* position of the same table of T; 0: T is 0 */
   SERIES, /* TERMS coefficients of L for each panel */
 };
 
@@ -315,9 +315,9 @@ static double absorbed_of(const core_medium *medium) {
   return medium->sigma_a_per_mm / core_sigma_t_prime(medium);
 }
 
-static void take_layers(const core_inputs *inputs, solver_layer layer[CORE_LAYERS_MAX]) {
-  for (uint32_t i = 0; i < inputs->parameters->layer_count; i++) {
-    const core_medium *from = &inputs->medium[i];
+static void take_layers(const core_medium *medium, uint32_t count, solver_layer *layer) {
+  for (uint32_t i = 0; i < count; i++) {
+    const core_medium *from = &medium[i];
     layer[i] = (solver_layer){from->sigma_a_per_mm, from->sigma_s_per_mm, from->g, from->eta,
                               from->thickness_mm > 0 ? from->thickness_mm : (double)INFINITY};
   }
@@ -362,7 +362,7 @@ static core_fault check_layers(const core_inputs *inputs) {
     return (core_fault){"gamma", "nothing with layers: it is of one half space", 0};
   }
   solver_layer layer[CORE_LAYERS_MAX];
-  take_layers(inputs, layer);
+  take_layers(inputs->medium, count, layer);
   return scatters(inputs) ? solver_layers_check(layer, count, eta_below_of(inputs))
                           : (core_fault){0};
 }
@@ -592,10 +592,42 @@ static double kappa_of(const core_medium *medium) {
                                    : transport_anisotropic_kappa(albedo_of(medium), medium->g);
 }
 
-/* Sets L[i] = ln(x R) + kappa x at y[i] = ln x, in ascending order; of a solution, error[i] to its
- * relative error and R[i] to R. */
+/* Returns the albedo at which the table is evaluated. */
+static double known_albedo(const core_medium *medium) {
+  return is_isotropic(medium) ? fmin(albedo_of(medium), 1 - 0x1p-53) : albedo_of(medium);
+}
+
+static void look_up(const core_medium *medium, transport_series *series, struct source *source) {
+  transport_table_look_up(transport_table_shipped(), known_albedo(medium), medium->g, medium->eta,
+                          series);
+  /* The series contains kappa. Computing it again for anisotropic scattering would take ten times
+   * as long as the look-up. */
+  const bool found = !is_isotropic(medium) && absorbed_of(medium) >= LEAST_ABSORBED;
+  *source = (struct source){
+      .medium = medium, .series = series, .kappa = found ? series->kappa : kappa_of(medium)};
+}
+
+static double ratio_of(const core_medium *medium) {
+  return fmin(medium->sigma_a_per_mm / (medium->sigma_s_per_mm * (1 - medium->g)), RATIO_MOST);
+}
+
+/* Enters an error at a radius into the bands next to it. */
+static void enter_error(double error, double x, core_added_errors *added) {
+  const double apart = 1.1; /* points are closer */
+  for (size_t i = 0; i < CORE_MODEL_ERROR_BANDS; i++) {
+    const double least = i == 0 ? 0 : core_error_edges_mfp[i];
+    const double most =
+        i + 1 == CORE_MODEL_ERROR_BANDS ? (double)INFINITY : core_error_edges_mfp[i + 1];
+    if (x * apart >= least && x <= most * apart) {
+      added->banded[i] = fmax(added->banded[i], error);
+    }
+  }
+}
+
+/* Sets L[i] = ln(x R) + kappa x at y[i] = ln x, in ascending order. added: where the errors of a solution
+ * are entered, or NULL. */
 static void look_at(const struct source *source, const double y[TERMS], double L[TERMS],
-                    double error[TERMS], double R[TERMS]) {
+                    core_added_errors *added) {
   if (source->series != NULL) {
     transport_series_Q(source->series, TERMS, y, L);
   }
@@ -606,9 +638,10 @@ static void look_at(const struct source *source, const double y[TERMS], double L
       continue;
     }
     const transport_number at = solved_at(source, x);
-    R[i] = at.value;
-    error[i] = at.error / fmax(at.value, 1e-300);
     L[i] = real_log(fmax(x * at.value, 1e-300), 0) + source->kappa * x;
+    if (added != NULL) {
+      enter_error(at.error / fmax(at.value, 1e-300), x, added);
+    }
   }
 }
 
@@ -619,6 +652,7 @@ struct panels {
     double width; /* of a panel */
     size_t panels;
   } segment[SEGMENTS]; /* those that are not used have no panels */
+  size_t segments;
   size_t count;
   double y[PANELS_MAX][TERMS];
   double L[PANELS_MAX][TERMS];
@@ -643,33 +677,38 @@ static void fit_values(const double value[TERMS], double series[TERMS]) {
   core_legendre_fit(by_node, series);
 }
 
+/* Adds panels of the same width from `begin` on. */
+static void add_segment(struct panels *panels, double begin, double width, size_t count) {
+  panels->segment[panels->segments++] = (struct segment){begin, width, count};
+  for (size_t k = 0; k < count; k++) {
+    set_points(fma((double)k, width, begin), width, panels->y[panels->count++]);
+  }
+}
+
+static void look_at_panels(const struct source *source, struct panels *panels,
+                           core_added_errors *added) {
+  for (size_t i = 0; i < panels->count; i++) {
+    look_at(source, panels->y[i], panels->L[i], added);
+  }
+}
+
 /* Lays panels between the edges of the table. The first one, up to 1e-3 mean free paths, is the
  * table's own, whose series has fewer terms. */
 static void lay_panels(struct panels *panels, const double edges[TRANSPORT_TABLE_PANELS + 1],
                        double ln_last) {
   double begin = edges[0];
-  int used = 0;
   for (int i = 1; i <= TRANSPORT_TABLE_PANELS + 1; i++) {
     const double end = i <= TRANSPORT_TABLE_PANELS ? edges[i] : ln_last;
     if (end > begin + LEAST_WIDTH && (end < ln_last - LEAST_WIDTH || end == ln_last)) {
       const double count = i == 1 ? 1 : ceil((end - begin) / PANEL_WIDTH);
-      panels->segment[used++] = (struct segment){begin, (end - begin) / count, (size_t)count};
-      for (size_t k = 0; k < (size_t)count; k++) {
-        set_points(fma((double)k, (end - begin) / count, begin), (end - begin) / count,
-                   panels->y[panels->count++]);
-      }
+      add_segment(panels, begin, (end - begin) / count, (size_t)count);
       begin = end;
     }
   }
 }
 
-/* Returns the last segment that has panels. */
 static const struct segment *last_segment(const struct panels *panels) {
-  int i = SEGMENTS - 1;
-  while (panels->segment[i].panels == 0) {
-    i--;
-  }
-  return &panels->segment[i];
+  return &panels->segment[panels->segments - 1];
 }
 
 static double last_of(const struct panels *panels) {
@@ -801,48 +840,81 @@ static core_fault fill_nothing(double sigma_t_prime, core_preparation *preparati
 
 /* ---- derivatives ------------------------------------------------------------------------------ */
 
-/* Differences of ln rho for the derivatives: of a medium of the table, and of a solved one. The
- * second is larger, because the errors of two solutions differ by more. */
+/* Differences of ln rho, or of ln sigma, for the derivatives: of a medium of the table, and of solved
+ * ones. The second is larger, because the errors of two solutions differ by more. */
 #define LN_RATIO_STEP 0x1p-15
 #define LN_RATIO_STEP_SOLVED 0x1p-6
-enum { DIFFERENCE_LEVEL = 3 }; /* the solver's grid of both neighbours */
+enum { DIFFERENCE_LEVEL = 3 }; /* the solver's grid of both neighbours of a half space */
 
-/* Returns the medium with e^(step) times the ratio rho and the same sigma_s. */
-static core_medium neighbour_of(const core_medium *medium, double step) {
-  core_medium other = *medium;
-  other.sigma_a_per_mm *= real_exp_signed(step);
-  return other;
-}
-
-/* Adds weight times kappa and L of a neighbouring medium to the derivative. */
-static void add_neighbour(const struct source *source, const struct panels *panels, double weight,
-                          struct derivative *by) {
-  double L[TERMS], error[TERMS], R[TERMS];
-  by->kappa += weight * source->kappa;
-  for (size_t i = 0; i < panels->count; i++) {
-    look_at(source, panels->y[i], L, error, R);
-    for (int k = 0; k < TERMS; k++) {
-      by->L[i][k] += weight * L[k];
+/* Adds weight times kappa and L of a neighbouring medium to the derivative. like: the source of the medium
+ * itself. level: the solver's grid. */
+static core_fault add_neighbour(const core_inputs *inputs, const struct source *like,
+                                const core_medium *medium, size_t level, double weight,
+                                const struct panels *panels, struct derivative *by) {
+  const uint32_t count = inputs->parameters->layer_count;
+  const solver_phase phase = {.g = medium->g};
+  transport_series series;
+  solver_solution *solution = NULL;
+  solver_layers *layers = NULL;
+  struct source source = *like;
+  core_fault fault = {0};
+  if (like->series != NULL) {
+    look_up(medium, &series, &source);
+  } else if (like->layers != NULL) {
+    solver_layer layer[CORE_LAYERS_MAX];
+    take_layers(medium, count, layer);
+    fault = solver_layers_solve_level(&layers, inputs->isa, layer, count, eta_below_of(inputs),
+                                      level, inputs->stop);
+    source.layers = layers;
+  } else {
+    fault = solver_solve_level(&solution, inputs->isa, ratio_of(medium), &phase, &medium->eta, 1,
+                               level, NULL, false);
+    source = (struct source){.medium = medium, .solution = solution, .kappa = kappa_of(medium)};
+  }
+  if (fault.field == NULL) {
+    by->kappa += weight * source.kappa;
+    for (size_t i = 0; i < panels->count; i++) {
+      double L[TERMS];
+      look_at(&source, panels->y[i], L, NULL);
+      for (int k = 0; k < TERMS; k++) {
+        by->L[i][k] += weight * L[k];
+      }
     }
   }
+  solver_free(solution);
+  solver_layers_free(layers);
+  return fault;
+}
+
+/* Sets *by by a difference between two media with another sigma_a, or sigma_s, of one layer. */
+static core_fault differentiate(const core_inputs *inputs, const struct source *source,
+                                const struct panels *panels, bool of_s, size_t level,
+                                struct derivative *by) {
+  const size_t at = (size_t)core_parameter_or(inputs, CORE_PARAMETER_DERIVATIVE_LAYER, 1) - 1;
+  core_medium medium[CORE_LAYERS_MAX];
+  memcpy(medium, source->medium, inputs->parameters->layer_count * sizeof *medium);
+  double *sigma = of_s ? &medium[at].sigma_s_per_mm : &medium[at].sigma_a_per_mm;
+  const double middle = *sigma;
+  const double step = source->series != NULL ? LN_RATIO_STEP : LN_RATIO_STEP_SOLVED;
+  *sigma = middle * real_exp_signed(step);
+  /* Beyond the table, and beyond RATIO_MOST, nothing is known. */
+  const bool one_sided = (source->series != NULL && !is_stored(medium)) ||
+                         (source->solution != NULL && ratio_of(source->medium) > 0.9 * RATIO_MOST);
+  const double above = one_sided ? 0 : step;
+  core_fault fault = {0};
+  *by = (struct derivative){0};
+  for (int i = 0; i < 2 && middle > 0 && fault.field == NULL; i++) {
+    if (inputs->stop != NULL && atomic_load(inputs->stop)) {
+      return (core_fault){CORE_FIELD_STOPPED, "to be waited for", 0};
+    }
+    *sigma = middle * real_exp_signed(i == 0 ? -step : above);
+    fault = add_neighbour(inputs, source, medium, level, (i == 0 ? -1 : 1) / (above + step), panels,
+                          by);
+  }
+  return fault;
 }
 
 /* ---- by the table ----------------------------------------------------------------------------- */
-
-/* Returns the albedo at which the table is evaluated. */
-static double known_albedo(const core_medium *medium) {
-  return is_isotropic(medium) ? fmin(albedo_of(medium), 1 - 0x1p-53) : albedo_of(medium);
-}
-
-static void look_up(const core_medium *medium, transport_series *series, struct source *source) {
-  transport_table_look_up(transport_table_shipped(), known_albedo(medium), medium->g, medium->eta,
-                          series);
-  /* The series contains kappa. Computing it again for anisotropic scattering would take ten times
-   * as long as the look-up. */
-  const bool found = !is_isotropic(medium) && absorbed_of(medium) >= LEAST_ABSORBED;
-  *source = (struct source){
-      .medium = medium, .series = series, .kappa = found ? series->kappa : kappa_of(medium)};
-}
 
 /* Returns the albedo of a medium with this series. All light leaves a medium that absorbs none. The
  * table does not hold the totals of isotropic media that absorb less than TABLE_IS_WHITE: there (1 -
@@ -860,21 +932,6 @@ static double albedo_of_series(const core_medium *medium, const transport_series
   transport_table_look_up(transport_table_shipped(), 1 - TABLE_IS_WHITE, 0, medium->eta, &held);
   const double root = sqrt(absorbed / TABLE_IS_WHITE);
   return held.total / (held.total + (1 - held.total) * root);
-}
-
-/* Sets *by by a difference between two media of the table. */
-static void differentiate_table(const core_medium *medium, const struct panels *panels,
-                                struct derivative *by) {
-  *by = (struct derivative){0};
-  const core_medium above = neighbour_of(medium, LN_RATIO_STEP);
-  const double above_step = is_stored(&above) ? LN_RATIO_STEP : 0;
-  for (int i = 0; i < 2 && medium->sigma_a_per_mm > 0; i++) {
-    const core_medium other = neighbour_of(medium, i == 0 ? -LN_RATIO_STEP : above_step);
-    transport_series series;
-    struct source source;
-    look_up(&other, &series, &source);
-    add_neighbour(&source, panels, (i == 0 ? -1 : 1) / (above_step + LN_RATIO_STEP), by);
-  }
 }
 
 /* Error of a difference between nearly white media, per mm: their albedos are rounded, which
@@ -911,35 +968,16 @@ static core_fault prepare_stored(const core_inputs *inputs, const core_medium *m
   lay_panels(&panels, isotropic ? series.edge : series.difference.edge,
              series.edge[TRANSPORT_TABLE_PANELS]);
   panels.fades = last_of(&panels) > 0.4 * LAST;
-  for (size_t i = 0; i < panels.count; i++) {
-    look_at(&source, panels.y[i], panels.L[i], NULL, NULL);
-  }
+  look_at_panels(&source, &panels, NULL);
   const bool derivatives = wants_derivatives(inputs);
-  if (derivatives) {
-    differentiate_table(medium, &panels, &by_ratio);
-  }
-  return fill_table(inputs, medium, &panels, source.kappa, &by_ratio, derivatives, !isotropic,
-                    preparation);
+  const core_fault fault =
+      derivatives ? differentiate(inputs, &source, &panels, false, 0, &by_ratio) : (core_fault){0};
+  return fault.field != NULL ? fault
+                             : fill_table(inputs, medium, &panels, source.kappa, &by_ratio,
+                                          derivatives, !isotropic, preparation);
 }
 
 /* ---- by the solver ---------------------------------------------------------------------------- */
-
-static double ratio_of(const core_medium *medium) {
-  return fmin(medium->sigma_a_per_mm / (medium->sigma_s_per_mm * (1 - medium->g)), RATIO_MOST);
-}
-
-/* Enters an error at a radius into the bands next to it. */
-static void enter_error(double error, double x, core_added_errors *added) {
-  const double apart = 1.1; /* points are closer */
-  for (size_t i = 0; i < CORE_MODEL_ERROR_BANDS; i++) {
-    const double least = i == 0 ? 0 : core_error_edges_mfp[i];
-    const double most =
-        i + 1 == CORE_MODEL_ERROR_BANDS ? (double)INFINITY : core_error_edges_mfp[i + 1];
-    if (x * apart >= least && x <= most * apart) {
-      added->banded[i] = fmax(added->banded[i], error);
-    }
-  }
-}
 
 /* Returns the least y above `least` where R has fallen below TRANSPORT_TABLE_R_LEAST, which it has at
  * `most`. */
@@ -950,18 +988,6 @@ static double end_of(const struct source *source, double least, double most) {
     *(fallen ? &most : &least) = y;
   }
   return least;
-}
-
-/* Adds the panel from y on with this width. */
-static void add_panel(const struct source *source, double y, double width, struct panels *panels,
-                      core_added_errors *added) {
-  const size_t i = panels->count++;
-  double error[TERMS], R[TERMS];
-  set_points(y, width, panels->y[i]);
-  look_at(source, panels->y[i], panels->L[i], error, R);
-  for (int k = 0; k < TERMS; k++) {
-    enter_error(error[k], real_exp_signed(panels->y[i][k]), added);
-  }
 }
 
 /* Returns the logarithm of the radius where R has fallen below TRANSPORT_TABLE_R_LEAST, or of
@@ -979,43 +1005,15 @@ static double find_end(const struct source *source) {
 /* Lays panels up to e^end, with their errors. */
 static void lay_panels_solved(const struct source *source, double end, struct panels *panels,
                               core_added_errors *added) {
-  double y = real_log(FIRST, 0);
-  for (double next = y + PANEL_WIDTH; next < end; next += PANEL_WIDTH) {
-    add_panel(source, y, PANEL_WIDTH, panels, added);
-    y = next;
+  const double first = real_log(FIRST, 0);
+  const double count = ceil((end - first) / PANEL_WIDTH) - 1;
+  const double last = fma(count, PANEL_WIDTH, first);
+  add_segment(panels, first, PANEL_WIDTH, (size_t)count);
+  if (end > last + LEAST_WIDTH) {
+    add_segment(panels, last, end - last, 1);
   }
   panels->fades = end == real_log(LAST_SOLVED, 0);
-  panels->segment[0] = (struct segment){real_log(FIRST, 0), PANEL_WIDTH, panels->count};
-  if (end > y + LEAST_WIDTH) {
-    panels->segment[1] = (struct segment){y, end - y, 1};
-    add_panel(source, y, end - y, panels, added);
-  }
-}
-
-/* Sets *by by a difference between two solutions on the same grid. */
-static core_fault differentiate_solved(const core_inputs *inputs, const core_medium *medium,
-                                       const struct panels *panels, struct derivative *by) {
-  core_fault fault = {0};
-  *by = (struct derivative){0};
-  const solver_phase phase = {.g = medium->g};
-  /* Beyond RATIO_MOST nothing is solved. */
-  const double above = ratio_of(medium) > 0.9 * RATIO_MOST ? 0 : LN_RATIO_STEP_SOLVED;
-  for (int i = 0; i < 2 && medium->sigma_a_per_mm > 0 && fault.field == NULL; i++) {
-    if (inputs->stop != NULL && atomic_load(inputs->stop)) {
-      return (core_fault){CORE_FIELD_STOPPED, "to be waited for", 0};
-    }
-    const core_medium other = neighbour_of(medium, i == 0 ? -LN_RATIO_STEP_SOLVED : above);
-    solver_solution *solution;
-    fault = solver_solve_level(&solution, inputs->isa, ratio_of(&other), &phase, &medium->eta, 1,
-                               DIFFERENCE_LEVEL, NULL, false);
-    if (fault.field == NULL) {
-      const struct source source = {
-          .medium = &other, .solution = solution, .kappa = kappa_of(&other)};
-      add_neighbour(&source, panels, (i == 0 ? -1 : 1) / (above + LN_RATIO_STEP_SOLVED), by);
-    }
-    solver_free(solution);
-  }
-  return fault;
+  look_at_panels(source, panels, added);
 }
 
 /* Sets the albedo and its error. */
@@ -1065,7 +1063,9 @@ static core_fault prepare_solved(const core_inputs *inputs, const core_medium *m
   if (fault.field == NULL) {
     source.solution = solution;
     lay_panels_solved(&source, find_end(&source), &panels, &preparation->added);
-    fault = derivatives ? differentiate_solved(inputs, medium, &panels, &by_ratio) : fault;
+    fault = derivatives
+                ? differentiate(inputs, &source, &panels, false, DIFFERENCE_LEVEL, &by_ratio)
+                : fault;
   }
   solver_free(solution);
   if (fault.field != NULL) {
@@ -1125,34 +1125,6 @@ static void extend_errors(const struct source *source, double end, core_added_er
   }
 }
 
-/* Adds what a difference of two solutions by ln sigma_a, or ln sigma_s, of one layer contributes to its
- * derivative. */
-static core_fault differ_layers(const core_inputs *inputs, const struct source *source,
-                                const struct panels *panels, bool of_s, size_t level,
-                                struct derivative *by) {
-  const size_t at = (size_t)core_parameter_or(inputs, CORE_PARAMETER_DERIVATIVE_LAYER, 1) - 1;
-  solver_layer layer[CORE_LAYERS_MAX];
-  take_layers(inputs, layer);
-  double *sigma = of_s ? &layer[at].sigma_s_per_mm : &layer[at].sigma_a_per_mm;
-  const double middle = *sigma;
-  core_fault fault = {0};
-  for (int i = 0; i < 2 && middle > 0 && fault.field == NULL; i++) {
-    const double sign = i == 0 ? -1 : 1;
-    struct source neighbour = *source;
-    solver_layers *solution;
-    *sigma = middle * real_exp_signed(sign * LN_RATIO_STEP_SOLVED);
-    fault =
-        solver_layers_solve_level(&solution, inputs->isa, layer, inputs->parameters->layer_count,
-                                  eta_below_of(inputs), level, inputs->stop);
-    if (fault.field == NULL) {
-      neighbour.layers = solution;
-      add_neighbour(&neighbour, panels, sign / (2 * LN_RATIO_STEP_SOLVED), by);
-    }
-    solver_layers_free(solution);
-  }
-  return fault;
-}
-
 /* The solver's coarser grid for differences of layers, for tolerances below FINE and from there on. The
  * other one is the next. */
 #define FINE 3e-3
@@ -1165,13 +1137,12 @@ static core_fault differentiate_layers(const core_inputs *inputs, const struct s
   const size_t level = tolerance < FINE ? LAYERS_LEVEL_FINE : LAYERS_LEVEL;
   core_fault fault = {0};
   for (int of_s = 0; of_s < 2 && fault.field == NULL; of_s++) {
-    struct derivative coarse = {0};
-    by[of_s] = coarse;
-    fault = differ_layers(inputs, source, panels, of_s, level, &coarse);
+    struct derivative coarse;
+    fault = differentiate(inputs, source, panels, of_s, level, &coarse);
     if (fault.field == NULL) {
-      fault = differ_layers(inputs, source, panels, of_s, level + 1, &by[of_s]);
+      fault = differentiate(inputs, source, panels, of_s, level + 1, &by[of_s]);
     }
-    for (size_t i = 0; i < panels->count * TERMS; i++) {
+    for (size_t i = 0; i < panels->count * TERMS && fault.field == NULL; i++) {
       const double apart = by[of_s].L[i / TERMS][i % TERMS] - coarse.L[i / TERMS][i % TERMS];
       enter_error(DERIVATIVE * fabs(apart), real_exp_signed(panels->y[i / TERMS][i % TERMS]),
                   &preparation->derivative_added);
@@ -1183,93 +1154,89 @@ static core_fault differentiate_layers(const core_inputs *inputs, const struct s
   return fault;
 }
 
-/* Adds T to a profile of layers. */
-static core_fault add_below(const struct source *above, core_preparation *preparation) {
-  struct source source = *above;
-  source.side = 1;
+/* Prepares a profile of the light that leaves on one side of the layers. total: its share. */
+static core_fault prepare_side(const core_inputs *inputs, const solver_layers *layers, size_t side,
+                               const transport_number *total, double tolerance,
+                               core_preparation *preparation) {
+  struct source source = {.medium = inputs->medium,
+                          .layers = layers,
+                          .side = side,
+                          .absorbs_least = absorbs_least_of(inputs)};
+  const bool derivatives = wants_derivatives(inputs) && side == is_transmitted(inputs);
   struct panels panels = {.joined = false};
-  core_added_errors added = {{0}, 0};
-  double end, growth;
-  const bool known = find_end_of_layers(&source, &end, &growth);
-  if (known) {
+  struct derivative by[2];
+  double end, growth = 0;
+  if (find_end_of_layers(&source, &end, &growth)) {
     source.kappa = kappa_at(&source, end);
-    lay_panels_solved(&source, end, &panels, &added);
+    lay_panels_solved(&source, end, &panels, &preparation->added);
   }
   if (panels.count == 0) {
+    return side == 0 ? (core_fault){"thickness",
+                                    "thicker layers: R of these is not found; mc walks them", 0}
+                     : (core_fault){"thickness",
+                                    "other layers: T of these is not found; mc walks them", 0};
+  }
+  extend_errors(&source, end, &preparation->added);
+  preparation->albedo = fmin(total->value, 1);
+  preparation->added.banded[CORE_MODEL_ERROR_BANDS] = total->error / fmax(total->value, 1e-300);
+  set_errors(&source, &panels, preparation);
+  preparation->reach.growth = fmax(growth, preparation->reach.growth);
+  const core_fault fault =
+      derivatives ? differentiate_layers(inputs, &source, &panels, tolerance, by, preparation)
+                  : (core_fault){0};
+  return fault.field != NULL ? fault
+                             : fill_table(inputs, inputs->medium, &panels, source.kappa, by,
+                                          derivatives ? 2 : 0, false, preparation);
+}
+
+/* Adds T to a profile of layers. */
+static core_fault add_below(const core_inputs *inputs, const solver_layers *layers,
+                            const transport_number *total, double tolerance,
+                            core_preparation *preparation) {
+  core_preparation below = {0};
+  const core_fault fault = prepare_side(inputs, layers, 1, total, tolerance, &below);
+  if (fault.field != NULL) {
     preparation->T_error = (double)INFINITY;
-    return (core_fault){0};
+    return strcmp(fault.field, CORE_FIELD_MEMORY) == 0 ? fault : (core_fault){0};
   }
-  const size_t more = (SERIES + panels.count * TERMS) * sizeof(double);
-  double *c = realloc(preparation->table, preparation->table_bytes + more);
-  if (c == NULL) {
-    free(preparation->table);
-    preparation->table = NULL;
-    return CORE_OUT_OF_MEMORY;
+  const size_t bytes = preparation->table_bytes + below.table_bytes;
+  double *c = realloc(preparation->table, bytes);
+  if (c != NULL) {
+    preparation->table = c;
+    c[BELOW] = (double)(preparation->table_bytes / sizeof(double));
+    memcpy(&c[(size_t)c[BELOW]], below.table, below.table_bytes);
+    preparation->table_bytes = bytes;
   }
-  const size_t at = preparation->table_bytes / sizeof(double);
-  memset(&c[at], 0, more);
-  c[BELOW] = (double)at;
-  set_scales(&c[at], core_sigma_t_prime(source.medium), 1);
-  set_series(&panels, source.kappa, &c[at]);
-  preparation->table = c;
-  preparation->table_bytes += more;
+  free(below.table);
   for (size_t i = 0; i < CORE_MODEL_ERROR_BANDS; i++) {
-    preparation->T_error = fmax(preparation->T_error, added.banded[i]);
+    preparation->T_error = fmax(preparation->T_error, below.added.banded[i]);
   }
-  preparation->T_reach = (core_reach){last_of(&panels) / core_sigma_t_prime(source.medium),
-                                      fmax(growth, growth_of(source.kappa))};
-  return (core_fault){0};
+  preparation->T_reach = below.reach;
+  return c != NULL ? (core_fault){0} : CORE_OUT_OF_MEMORY;
 }
 
 static core_fault prepare_layers(const core_inputs *inputs, double tolerance,
                                  core_preparation *preparation) {
+  const uint32_t count = inputs->parameters->layer_count;
+  const size_t side = is_transmitted(inputs);
   solver_layers *solution;
   solver_balance balance;
   solver_layer layer[CORE_LAYERS_MAX];
-  take_layers(inputs, layer);
-  core_fault fault =
-      solver_layers_solve(&solution, inputs->isa, layer, inputs->parameters->layer_count,
-                          eta_below_of(inputs), tolerance, inputs->stop);
+  take_layers(inputs->medium, count, layer);
+  core_fault fault = solver_layers_solve(&solution, inputs->isa, layer, count, eta_below_of(inputs),
+                                         tolerance, inputs->stop);
   if (fault.field == NULL) {
     fault = solver_layers_balance(solution, inputs->isa, &balance);
   }
   if (fault.field == NULL) {
-    struct source source = {.medium = inputs->medium,
-                            .layers = solution,
-                            .side = is_transmitted(inputs),
-                            .absorbs_least = absorbs_least_of(inputs)};
-    struct panels panels = {.joined = false};
-    struct derivative by[2];
-    const transport_number *total = &balance.out[source.side];
-    double end, growth;
-    if (find_end_of_layers(&source, &end, &growth)) {
-      source.kappa = kappa_at(&source, end);
-      lay_panels_solved(&source, end, &panels, &preparation->added);
-    }
-    if (panels.count == 0) {
-      solver_layers_free(solution);
-      return source.side == 0
-                 ? (core_fault){"thickness",
-                                "thicker layers: R of these is not found; mc walks them", 0}
-                 : (core_fault){"thickness", "other layers: T of these is not found; mc walks them",
-                                0};
-    }
-    extend_errors(&source, end, &preparation->added);
-    preparation->albedo = fmin(total->value, 1);
-    preparation->added.banded[CORE_MODEL_ERROR_BANDS] = total->error / fmax(total->value, 1e-300);
-    set_errors(&source, &panels, preparation);
-    preparation->reach.growth = fmax(growth, preparation->reach.growth);
-    if (wants_derivatives(inputs)) {
-      fault = differentiate_layers(inputs, &source, &panels, tolerance, by, preparation);
-    }
-    if (fault.field == NULL) {
-      fault = fill_table(inputs, inputs->medium, &panels, source.kappa, by,
-                         wants_derivatives(inputs) ? 2 : 0, false, preparation);
-    }
-    const core_medium *last = &inputs->medium[inputs->parameters->layer_count - 1];
-    if (fault.field == NULL && last->thickness_mm > 0 && source.side == 0) {
-      fault = add_below(&source, preparation);
-    }
+    fault = prepare_side(inputs, solution, side, &balance.out[side], tolerance, preparation);
+  }
+  if (fault.field == NULL && side == 0 && inputs->medium[count - 1].thickness_mm > 0) {
+    fault = add_below(inputs, solution, &balance.out[1], tolerance, preparation);
+  }
+  if (fault.field != NULL) {
+    free(preparation->table);
+    preparation->table = NULL;
   }
   solver_layers_free(solution);
   return fault;
