@@ -32,6 +32,7 @@
 #define MOMENTS ONE_OF(core_moments_list), USUAL(CORE_MOMENTS_EXACT)
 #define ETA SPAN(CORE_ETA_MIN, CORE_ETA_MAX), USUAL(1.3)
 #define COUNT HIDDEN, STATUS(BAD_COUNT)
+#define ERROR_TARGET OR_ZERO, RANGE(1e-9, 1), ALLOWED("0 (none), or 1e-9 to 1")
 #define LAYER_COUNT COUNT, RANGE(1, CORE_LAYERS_MAX), USUAL(1)
 
 #define KEY(field)                                                                                 \

@@ -180,7 +180,7 @@ static const struct {
   enum wire_choice_kind kind;
   const core_choice *list;
 } choice_lists[] = {
-#define WIRE_LIST(kind, IDENT, name, list) {WIRE_CHOICE_##IDENT, list},
+#define WIRE_LIST(kind, IDENT, name, plural, list) {WIRE_CHOICE_##IDENT, list},
 #include "proto/messages.def"
 };
 

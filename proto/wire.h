@@ -37,7 +37,7 @@ enum wire_status {
 };
 
 enum wire_choice_kind {
-#define WIRE_LIST(kind, IDENT, name, list) WIRE_CHOICE_##IDENT = (kind),
+#define WIRE_LIST(kind, IDENT, name, plural, list) WIRE_CHOICE_##IDENT = (kind),
 #include "proto/messages.def"
 };
 

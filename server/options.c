@@ -84,7 +84,7 @@ static bool set_option(struct options *options, const struct description *option
 
 /* ---- environment ----------------------------------------------------------------------------- */
 
-enum { VARIABLE_BYTES = 64 };
+enum { VARIABLE_BYTES = 64, LINE_BYTES = 2048 };
 #define VARIABLE_PREFIX "DIPOLED_"
 
 /* Writes the name of an option's environment variable: DIPOLED_ and its field in capitals. */
@@ -303,6 +303,27 @@ enum options_outcome options_read(int argc, char **argv, struct options *options
     options->max_part_bytes = options->max_frame_bytes;
   }
   return outcome;
+}
+
+bool options_read_lines(const char *path, const char *(*read)(void *context, char *line),
+                        void *context, char *why, size_t why_bytes) {
+  char line[LINE_BYTES];
+  unsigned number = 0;
+  const char *wrong = NULL;
+  FILE *file = fopen(path, "re");
+  if (file == NULL) {
+    snprintf(why, why_bytes, "%s", strerror(errno));
+    return false;
+  }
+  while (wrong == NULL && fgets(line, sizeof line, file) != NULL) {
+    number++;
+    wrong = strlen(line) + 1 == sizeof line ? "the line is too long" : read(context, line);
+  }
+  fclose(file);
+  if (wrong != NULL) {
+    snprintf(why, why_bytes, "line %u: %s", number, wrong);
+  }
+  return wrong == NULL;
 }
 
 void options_free(struct options *options) {

@@ -29,6 +29,12 @@ enum options_outcome options_read(int argc, char **argv, struct options *options
 
 void options_free(struct options *options);
 
+/* Reads the lines of a file that an option names: read(context, line) returns what is wrong with one,
+ * or NULL. Returns false, and says why with the number of the line, if one is wrong or too long, or the
+ * file cannot be read. */
+bool options_read_lines(const char *path, const char *(*read)(void *context, char *line),
+                        void *context, char *why, size_t why_bytes);
+
 /* Calls each(context, name, value) for every number. In the name, underscores replace hyphens. */
 void options_each_number(const struct options *options,
                          void (*each)(void *context, const char *name, uint64_t value),

@@ -14,8 +14,8 @@ $(TESTS): LIBS = -lcmocka -lmpfr -lgmp $(TLS_LIBS) $(CORE_LIBS) $(TEST_LIBS)
 # The daemon's cache, input, histograms and Modbus, tested without a daemon, and a worker with clients
 # of the test's own.
 unit = $(addprefix $(BUILD)/tests/unit/,$(1))
-$(call unit,test_cache test_profiles): $(call objects,$(wildcard server/store/*.c) server/observe/stats.c)
-$(call unit,test_choice): $(call objects,server/jobs/choice.c $(wildcard server/store/*.c) server/observe/stats.c)
+$(call unit,test_cache test_profiles): $(call objects,$(wildcard server/store/*.c) server/observe/stats.c server/options.c)
+$(call unit,test_choice): $(call objects,server/jobs/choice.c $(wildcard server/store/*.c) server/observe/stats.c server/options.c)
 $(call unit,test_histogram): $(call objects,server/observe/latency.c)
 $(call unit,test_input): $(call objects,server/net/buffers.c)
 $(call unit,test_modbus): $(call objects,server/net/access.c $(addprefix server/modbus/,codec.c receiver.c))

@@ -38,7 +38,7 @@ static void print_form(const char *form, ...) {
 
 /* Returns the name of a list; NULL if it is none. */
 static const char *name_of(const core_choice *list) {
-#define WIRE_LIST(kind, IDENT, name, choices)                                                      \
+#define WIRE_LIST(kind, IDENT, name, plural, choices)                                              \
   if (list == (choices)) {                                                                         \
     return name;                                                                                   \
   }
@@ -161,7 +161,7 @@ int main(void) {
 #define WIRE_MESSAGE(type, IDENT, name, ...) print_form("'" name "':%u,", U(type));
 #include "proto/messages.def"
   print_form("'':0},'lists':[");
-#define WIRE_LIST(kind, IDENT, name, list) put_list(kind, name, list);
+#define WIRE_LIST(kind, IDENT, name, plural, list) put_list(kind, name, list);
 #include "proto/messages.def"
   print_form("],'statuses':[");
 #define WIRE_STATUS(code, IDENT, modbus_exception, http, name, text)                               \

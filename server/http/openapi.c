@@ -197,7 +197,7 @@ static void put_request(struct http_text *text, const schema_message *message, b
     }
   }
   for (const core_choice *one = core_parameter_list;
-       http_request_has_parameters(request) && one->name != NULL; one++) {
+       schema_field_of(request, "parameter_count") != NULL && one->name != NULL; one++) {
     if (schema_field_of(request, one->name) == NULL &&
         begin_field(text, message, in_query, one->name)) {
       put_kind(text, SCHEMA_f64);

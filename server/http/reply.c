@@ -390,24 +390,8 @@ void http_reply_write(const schema_message *message, const uint8_t *request, boo
 
 /* The names of the lists of choices, in the order of their kinds. */
 static const char *const list_names[] = {
-    [WIRE_CHOICE_MODEL] = "models",
-    [WIRE_CHOICE_EVALUATOR] = "evaluators",
-    [WIRE_CHOICE_MOMENTS] = "moments",
-    [WIRE_CHOICE_QUANTITY] = "quantities",
-    [WIRE_CHOICE_SPACING] = "spacings",
-    [WIRE_CHOICE_STATUS] = "statuses",
-    [WIRE_CHOICE_PARAMETER] = "parameters",
-    [WIRE_CHOICE_NOTE] = "notes",
-    [WIRE_CHOICE_DRAW] = "draws",
-    [WIRE_CHOICE_LENGTH] = "lengths",
-    [WIRE_CHOICE_PHASE] = "phases",
-    [WIRE_CHOICE_SCALE] = "scales",
-    [WIRE_CHOICE_AXIS] = "axes",
-    [WIRE_CHOICE_FIT_STATUS] = "fit_statuses",
-    [WIRE_CHOICE_LIGHT] = "lights",
-    [WIRE_CHOICE_VALUE] = "value_statuses",
-    [WIRE_CHOICE_COEFFICIENT] = "coefficients",
-    [WIRE_CHOICE_UNKNOWN] = "unknowns",
+#define WIRE_LIST(kind, IDENT, name, plural, list) [kind] = plural,
+#include "proto/messages.def"
 };
 
 void http_reply_write_models(const uint8_t *payload, struct http_text *text) {

@@ -47,10 +47,6 @@ const schema_field *http_request_fields(const schema_payload *request, unsigned 
                                                          : NULL;
 }
 
-bool http_request_has_parameters(const schema_payload *request) {
-  return schema_field_of(request, "parameter_count") != NULL;
-}
-
 struct translation {
   const schema_message *message;
   const json_t *values;
@@ -274,7 +270,7 @@ static bool add_media(struct translation *t) {
     return add_media_lists(t);
   }
   for (int i = 0; i + 1 < COEFFICIENTS; i++) {
-    if ((value_of(t, medium_fields[i].name) != NULL)) {
+    if (value_of(t, medium_fields[i].name) != NULL) {
       return fail_with(t, bad_value(medium_fields[i].name, "nothing beside medium"));
     }
   }
@@ -316,7 +312,7 @@ static bool add_parameters(struct translation *t) {
     const json_t *value = value_of(t, one->name);
     wire_parameter parameter = {.parameter = (uint16_t)one->id};
     const core_choice *list = choices_of_parameter(one->id);
-    if (value == NULL || !http_request_has_parameters(t->message->request) ||
+    if (value == NULL || schema_field_of(t->message->request, "parameter_count") == NULL ||
         shown_field(t->message, one->name) != NULL) {
       continue;
     }
@@ -358,14 +354,14 @@ static const schema_part *ruled_list(const schema_message *message, const char *
 
 /* Returns whether the media of a varying request are given by colours. */
 static bool is_coloured(const struct translation *t) {
-  return (value_of(t, "colour") != NULL);
+  return value_of(t, "colour") != NULL;
 }
 
 /* Returns what the third array of a varying request holds. */
 static enum varying_numbers numbers_of(const struct translation *t) {
-  return (value_of(t, "r") != NULL)   ? VARYING_RADII
-         : (value_of(t, "u") != NULL) ? VARYING_DRAWN
-                                      : VARYING_NONE;
+  return value_of(t, "r") != NULL   ? VARYING_RADII
+         : value_of(t, "u") != NULL ? VARYING_DRAWN
+                                    : VARYING_NONE;
 }
 
 /* Returns whether the usual evaluator is the table: for transport, named or not, where the table can
@@ -385,7 +381,7 @@ static bool is_tabled(const struct translation *t) {
 /* Returns whether the request leaves the choice of the model to its tolerance. */
 static bool chooses_by_tolerance(const struct translation *t) {
   return t->message->type == WIRE_TYPE_OFFERS ||
-         (t->message->type == WIRE_TYPE_EVAL && (value_of(t, "tolerance") != NULL));
+         (t->message->type == WIRE_TYPE_EVAL && value_of(t, "tolerance") != NULL);
 }
 
 /* What holds for the quantities and coefficients of a varying request that leaves them out. */
@@ -403,7 +399,7 @@ static unsigned usual_of_varying(const struct translation *t, const char *field)
 static unsigned usual_choice(const struct translation *t, const schema_field *field) {
   const bool varying = t->message->type == WIRE_TYPE_VARYING;
   const schema_part *list = ruled_list(t->message, field->name);
-  if (list != NULL && (value_of(t, list->name) != NULL)) {
+  if (list != NULL && value_of(t, list->name) != NULL) {
     return (unsigned)list->is;
   }
   if (varying && field->bits) {
@@ -427,7 +423,7 @@ static bool read_choice(struct translation *t, const schema_field *field, uint64
   if (value != NULL) {
     return was_read(t,
                     http_value_read_choice(value, field->name, field->list, field->bits, number)) &&
-           (list == NULL || !(value_of(t, list->name) != NULL) || *number == list->is ||
+           (list == NULL || value_of(t, list->name) == NULL || *number == list->is ||
             fail_with(t, bad_value(field->name, "list, beside a list of numbers")));
   }
   *number = usual_choice(t, field);
@@ -524,7 +520,7 @@ static bool read_field(struct translation *t, const schema_field *field, uint64_
   const json_t *values = value_of(t, list != NULL ? list->name : "");
   if (values != NULL) {
     *number = http_value_count(values);
-    return !(value_of(t, field->name) != NULL) ||
+    return value_of(t, field->name) == NULL ||
            fail_with(t, bad_value(field->name, "nothing beside the list that it counts"));
   }
   return read_plain(t, field, number);
@@ -585,7 +581,7 @@ static bool is_known(const schema_message *message, const char *key) {
   return shown_field(message, key) != NULL || strcmp(key, "deadline_ms") == 0 ||
          (media && (strcmp(key, "medium") == 0 || schema_field_of(&medium_alone, key) != NULL)) ||
          (message->type == WIRE_TYPE_FIT && strcmp(key, "reference") == 0) ||
-         (http_request_has_parameters(message->request) &&
+         (schema_field_of(message->request, "parameter_count") != NULL &&
           core_choice_by_name(core_parameter_list, key) != NULL);
 }
 
@@ -614,20 +610,20 @@ static bool check_keys(struct translation *t) {
 /* Checks that a varying request has one pair of lists for its media, and at most one list of
  * numbers. */
 static bool check_pairs(struct translation *t) {
-  const bool coloured = is_coloured(t) || (value_of(t, "length") != NULL);
+  const bool coloured = is_coloured(t) || value_of(t, "length") != NULL;
   const char *const wanted[] = {coloured ? "colour" : "sigma_a", coloured ? "length" : "sigma_s"};
   const char *const others[] = {coloured ? "sigma_a" : "given", coloured ? "sigma_s" : "light"};
   for (int i = 0; i < 2; i++) {
-    if ((value_of(t, others[i]) != NULL)) {
+    if (value_of(t, others[i]) != NULL) {
       return fail_with(t, bad_value(others[i], coloured ? "nothing beside colour and length"
                                                         : "nothing beside sigma_a and sigma_s"));
     }
-    if (!(value_of(t, wanted[i]) != NULL)) {
+    if (value_of(t, wanted[i]) == NULL) {
       return fail_with(
           t, bad_value(wanted[i], "numbers: give sigma_a and sigma_s, or colour and length"));
     }
   }
-  return !(value_of(t, "r") != NULL) || !(value_of(t, "u") != NULL) ||
+  return value_of(t, "r") == NULL || value_of(t, "u") == NULL ||
          fail_with(t, bad_value("u", "nothing beside r"));
 }
 
@@ -702,7 +698,7 @@ static void name_points(struct translation *t) {
   wire_points_request fixed;
   uint8_t *at = (uint8_t *)t->payload->bytes;
   wire_get_points_request(at, &fixed);
-  if (!(value_of(t, "set") != NULL)) {
+  if (value_of(t, "set") == NULL) {
     const uint8_t *xyz = at + WIRE_BYTES_points_request;
     const uint8_t *power = xyz + fixed.point_count * GATHER_AXES * sizeof(double);
     gather_name name;

@@ -24,7 +24,4 @@ unsigned http_request_media(const schema_payload *request);
 /* Returns the fields of the first or second structure of a request, `index`, or NULL. */
 const schema_field *http_request_fields(const schema_payload *request, unsigned index);
 
-/* Returns whether a request takes parameters. */
-bool http_request_has_parameters(const schema_payload *request);
-
 #endif

@@ -193,7 +193,6 @@ void repeat_reply(const struct repeat_entry *entry, struct batch *batch, struct 
   }
   stats_add(stats, STATS_CACHE_HITS, 1);
   stats_count_radii(stats, entry->model, entry->count);
-  stats_add(stats, STATS_SLICES_EVALUATED, 1);
 }
 
 /* ---- remembering requests -------------------------------------------------------------------- */

@@ -622,7 +622,6 @@ static void channel_step(struct eval_job *eval, size_t n) {
     job_pay(&eval->job, n * least_cost(eval));
     stats_count_radii(stats_of(eval), eval->request.fixed.model, n);
     stats_add(stats_of(eval), STATS_RADII_DRAWN, eval->drawn ? n : 0);
-    stats_add(stats_of(eval), STATS_SLICES_EVALUATED, 1);
   }
   if (eval->layout.arrays_per_channel == 0 || advance_by(eval, n)) {
     pad_channel(eval);

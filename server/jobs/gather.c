@@ -389,7 +389,6 @@ static enum job_outcome gather_slice(struct gather_job *gather, uint64_t *budget
   *budget -= spent < *budget ? spent : *budget;
   struct stats *stats = &gather->job.context->server->stats;
   stats_add(stats, STATS_QUERIES_GATHERED, n * channels);
-  stats_add(stats, STATS_SLICES_EVALUATED, 1);
   if (!part_is_done(gather)) {
     return JOB_GOES_ON;
   }

@@ -206,7 +206,6 @@ static enum job_outcome seek_medium(struct invert_job *invert) {
   if (outcome != JOB_GOES_ON) {
     return outcome;
   }
-  stats_add(&invert->job.context->server->stats, STATS_INVERSION_PROBES, 1);
   return take_albedo(invert, albedo);
 }
 

@@ -110,36 +110,6 @@ static const char *wire_field(const char *field) {
   return field;
 }
 
-static wire_error from_fault(core_fault fault) {
-  wire_error error = wire_error_make(WIRE_STATUS_BAD_VALUE, wire_field(fault.field), fault.allowed);
-  error.index = fault.index;
-  return error;
-}
-
-/* Returns whether the value can be a target for an error. NaN cannot: it fails every comparison. */
-static bool is_error_target(double target) {
-  return target == 0 || (target >= 1e-9 && target <= 1);
-}
-
-static wire_error check_targets(const wire_mc_request *fixed, uint64_t photons_max) {
-  static const char errors[] = "0 (none), or 1e-9 to 1";
-  char allowed[64];
-  if (fixed->photons == 0) {
-    return wire_error_make(WIRE_STATUS_BAD_VALUE, "photons", "at least 1");
-  }
-  if (fixed->photons > photons_max) {
-    snprintf(allowed, sizeof allowed, "at most %llu", (unsigned long long)photons_max);
-    return wire_error_make(WIRE_STATUS_TOO_LARGE, "photons", allowed);
-  }
-  if (!is_error_target(fixed->error_total)) {
-    return wire_error_make(WIRE_STATUS_BAD_VALUE, "error_total", errors);
-  }
-  if (!is_error_target(fixed->error_rings)) {
-    return wire_error_make(WIRE_STATUS_BAD_VALUE, "error_rings", errors);
-  }
-  return wire_error_none();
-}
-
 /* Makes the request for core. The medium has been checked. */
 static void set_request(struct mc_task *task, const mc_request *wire) {
   core_mc_request *request = &task->request;
@@ -164,36 +134,30 @@ static wire_error check_task(struct mc_task *task, const struct server *server,
                              const uint8_t *payload, size_t payload_bytes) {
   mc_request wire = {0};
   *task = (struct mc_task){0};
-  wire_error error = mc_request_parse(payload, payload_bytes, &wire);
+  const wire_error error = mc_request_parse(payload, payload_bytes, &wire);
   if (error.status != WIRE_STATUS_OK) {
     return error;
   }
-  if (wire.fixed.ring_count < 1 || wire.fixed.ring_count > CORE_MC_RINGS_MAX) {
-    return wire_error_make(WIRE_STATUS_BAD_COUNT, "ring_count", "1 to 4096");
+  if (wire.fixed.photons > server->options.max_mc_photons) {
+    return job_too_large("photons", server->options.max_mc_photons, "photons");
   }
   core_fault fault = core_layers_check(wire.layers, wire.fixed.layer_count);
-  if (fault.field != NULL) {
-    return from_fault(fault);
+  if (fault.field == NULL) {
+    set_request(task, &wire);
+    fault = core_mc_request_parameters(&task->request, &wire.parameters);
   }
-  set_request(task, &wire);
-  fault = core_mc_request_parameters(&task->request, &wire.parameters);
   if (fault.field == NULL) {
     fault = core_mc_check(&task->request);
   }
   if (fault.field != NULL) {
-    return from_fault(fault);
+    fault.field = wire_field(fault.field);
+    return job_error(fault);
   }
-  error = check_targets(&wire.fixed, server->options.max_mc_photons);
-  if (error.status == WIRE_STATUS_OK &&
-      (!mc_reply_layout(task->side_count, (uint32_t)task->request.albedo_count, task->ring_count,
-                        &task->layout) ||
-       task->layout.payload_bytes > server->options.max_frame_bytes)) {
-    char allowed[64];
-    snprintf(allowed, sizeof allowed, "at most %llu bytes of reply",
-             (unsigned long long)server->options.max_frame_bytes);
-    error = wire_error_make(WIRE_STATUS_TOO_LARGE, "ring_count", allowed);
-  }
-  return error;
+  const bool fits = mc_reply_layout(task->side_count, (uint32_t)task->request.albedo_count,
+                                    task->ring_count, &task->layout) &&
+                    task->layout.payload_bytes <= server->options.max_frame_bytes;
+  return fits ? error
+              : job_too_large("ring_count", server->options.max_frame_bytes, "bytes of reply");
 }
 
 /* ---- memory ---------------------------------------------------------------------------------- */

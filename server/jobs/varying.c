@@ -153,7 +153,6 @@ static enum job_outcome step_varying(struct job *job, uint64_t *budget) {
     job_pay(job, n * varying->value_radii);
     struct stats *stats = &job->context->server->stats;
     stats_count_radii(stats, varying->request.fixed.model, n);
-    stats_add(stats, STATS_SLICES_EVALUATED, 1);
     outcome = varying->parts.index < varying->part.count ? JOB_GOES_ON : end_varying_part(varying);
   }
   *budget -= spent < *budget ? spent : *budget;

@@ -1,11 +1,12 @@
 #include "server/net/roles.h"
 
-#include <errno.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
-enum { LINE_BYTES = 1024, ENTRIES_MAX = 1000 };
+#include "server/options.h"
+
+enum { ENTRIES_MAX = 1000 };
 
 enum kind { EVERYBODY, SUBJECT, ROLE };
 
@@ -96,7 +97,8 @@ static const char *read_who(const char *who, struct entry *entry) {
 }
 
 /* Reads one line. Returns what is wrong, or NULL. */
-static const char *read_line(struct roles *roles, char *line) {
+static const char *read_line(void *context, char *line) {
+  struct roles *roles = context;
   static const char blanks[] = " \t\r\n";
   line += strspn(line, blanks);
   for (size_t end = strlen(line); end > 0 && strchr(blanks, line[end - 1]) != NULL;) {
@@ -121,35 +123,13 @@ static const char *read_line(struct roles *roles, char *line) {
   return wrong;
 }
 
-static const char *read_lines(struct roles *roles, FILE *file, unsigned *number) {
-  char line[LINE_BYTES];
-  const char *wrong = NULL;
-  while (wrong == NULL && fgets(line, sizeof line, file) != NULL) {
-    ++*number;
-    const bool whole = strchr(line, '\n') != NULL || strlen(line) < sizeof line - 1;
-    wrong = whole ? read_line(roles, line) : "the line is too long";
-  }
-  return wrong;
-}
-
 struct roles *roles_read(const char *path, char *why, size_t why_bytes) {
   struct roles *roles = calloc(1, sizeof *roles);
-  FILE *file = fopen(path, "re");
-  if (roles == NULL || file == NULL) {
-    snprintf(why, why_bytes, "%s", roles == NULL ? "out of memory" : strerror(errno));
+  if (roles == NULL) {
+    snprintf(why, why_bytes, "out of memory");
+  } else if (!options_read_lines(path, read_line, roles, why, why_bytes)) {
     roles_free(roles);
-    if (file != NULL) {
-      fclose(file);
-    }
-    return NULL;
-  }
-  unsigned number = 0;
-  const char *wrong = read_lines(roles, file, &number);
-  fclose(file);
-  if (wrong != NULL) {
-    snprintf(why, why_bytes, "line %u: %s", number, wrong);
-    roles_free(roles);
-    return NULL;
+    roles = NULL;
   }
   return roles;
 }

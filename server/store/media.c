@@ -1,13 +1,13 @@
 #include "server/store/media.h"
 
-#include <errno.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
 #include "proto/decimal.h"
+#include "server/options.h"
 
-enum { LINE_BYTES = 2048, RED = 1, ALL = 7 };
+enum { RED = 1, ALL = 7 };
 
 static core_measured_medium *own; /* those of core and of the file; NULL without a file */
 static size_t own_count;
@@ -77,8 +77,9 @@ static const char *find_medium(const char *name, unsigned channels, unsigned *gi
   return NULL;
 }
 
-/* Reads a line. Returns what is wrong, or NULL. */
-static const char *read_line(char *line, unsigned *given) {
+/* Reads a line; the context is *given of find_medium(). Returns what is wrong, or NULL. */
+static const char *read_line(void *context, char *line) {
+  unsigned *given = context;
   static const char blanks[] = " \t\r\n",
                     form[] = "layers are SIGMA_A,SIGMA_S,G,ETA[,THICKNESS_MM]";
   core_medium layers[CORE_LAYERS_MAX];
@@ -115,28 +116,19 @@ static const char *read_line(char *line, unsigned *given) {
 }
 
 bool media_read(const char *path, char *why, size_t why_bytes) {
-  char line[LINE_BYTES];
-  unsigned number = 0, given = ALL;
-  const char *wrong = NULL;
-  FILE *file = fopen(path, "re");
+  unsigned given = ALL;
   own = calloc(core_measured_media_count + MEDIA_MAX, sizeof *own);
-  if (file == NULL || own == NULL) {
-    snprintf(why, why_bytes, "%s", strerror(errno));
-    if (file != NULL) {
-      fclose(file);
-    }
+  if (own == NULL) {
+    snprintf(why, why_bytes, "out of memory");
     return false;
   }
   own_count = core_measured_media_count;
   memcpy(own, core_measured_media, own_count * sizeof *own);
-  while (wrong == NULL && fgets(line, sizeof line, file) != NULL) {
-    number++;
-    wrong = strlen(line) + 1 == sizeof line ? "the line is too long" : read_line(line, &given);
+  if (!options_read_lines(path, read_line, &given, why, why_bytes)) {
+    return false;
   }
-  fclose(file);
-  wrong = wrong == NULL && given != ALL ? "the last medium lacks a colour" : wrong;
-  if (wrong != NULL) {
-    snprintf(why, why_bytes, "line %u: %s", number, wrong);
+  if (given != ALL) {
+    snprintf(why, why_bytes, "the last medium lacks a colour");
   }
-  return wrong == NULL;
+  return given == ALL;
 }

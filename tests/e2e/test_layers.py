@@ -107,7 +107,7 @@ def test_media_of_a_file(daemon, tmp_path):
 @pytest.mark.parametrize("text, says", [
     ("skin1 1,2,0,1.3", "line 1: the name is taken"), ("a 1,2,0,1.3 1,2,0,1.3", "line 1: above 0: only the last"),
     ("a 1,2,0", "line 1: layers are SIGMA_A"), ("a", "line 1: layers are"), ("a red 1,2,0,1.3\nb 1,2,0,1.3", "line 2: the medium above"),
-    ("\na red 1,2,0,1.3", "line 2: the last medium lacks"), ("a 1,2,0,1e4", "line 1: 0.001 to 1000"),
+    ("\na red 1,2,0,1.3", "the last medium lacks"), ("a 1,2,0,1e4", "line 1: 0.001 to 1000"),
     (f"{17 * 'a'} 1,2,0,1.3", "at most 16 bytes"), ("a red 1,2,0,1.3\na red 1,2,0,1.3", "line 2: the medium above"),
     ("a red 1,2,0,1.3\na green 1,2,0,1.3,1 1,2,0,1.3", "as many layers"), ("a " + 9 * "1,2,0,1.3,1 ", "layers are"),
     ("".join(f"m{i} 1,2,0,1.3\n" for i in range(257)), "line 257: a file has at most 256"),

@@ -140,7 +140,7 @@ static void assert_choices_hold(enum wire_choice_kind kind, const core_choice *l
 /* The choices are all lists of core, complete, and then the statuses. */
 UNIT_TEST(choices_hold_every_list) {
   size_t index = 0;
-#define WIRE_LIST(kind, IDENT, name, list) assert_choices_hold(kind, list, &index);
+#define WIRE_LIST(kind, IDENT, name, plural, list) assert_choices_hold(kind, list, &index);
 #include "proto/messages.def"
   assert_int_equal(index, wire_choice_count());
 }
