@@ -19,7 +19,6 @@
 enum {
   HEADER_BYTES = 1024, /* of the library's memory for one connection, beside the URI */
   REST_MS = 1000,      /* the silence after which the connection releases its buffers */
-  BRACKET_BYTES = 16,  /* of a body's limit, for each array or object that the body may have */
 };
 
 /* What a path serves. */
@@ -444,20 +443,13 @@ static bool find_route(const char *url, struct route *route) {
 /* Translates a request into the payload of a message. */
 static wire_error translate(struct http_connection *c, uint32_t *deadline_ms) {
   static char none[1];
-  const size_t most = (size_t)options_of(c)->max_part_bytes;
-  wire_error error;
-  if (c->query.failed) {
-    return buffers_full();
-  }
-  json_t *values =
-      c->has_body ? http_values_parse(c->body.bytes != NULL ? c->body.bytes : "", c->body.count,
-                                      most / BRACKET_BYTES, &error)
-                  : http_values_parse_query(c->query.count > 0 ? c->query.bytes : none, &error);
-  if (values != NULL) {
-    error = http_request_translate(c->route.message, values, !c->has_body, &c->payload, most,
-                                   deadline_ms, &c->g_is_default);
-    json_decref(values);
-  }
+  const struct http_text *from = c->has_body ? &c->body : &c->query;
+  const wire_error error =
+      c->query.failed
+          ? buffers_full()
+          : http_request_translate(
+                c->route.message, from->count > 0 ? from->bytes : none, from->count, !c->has_body,
+                &c->payload, (size_t)options_of(c)->max_part_bytes, deadline_ms, &c->g_is_default);
   http_text_free(&c->body);
   return error;
 }

@@ -1,11 +1,15 @@
 #include "server/http/request.h"
 
+#include <ctype.h>
+#include <errno.h>
+#include <jansson.h>
 #include <limits.h>
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
+#include "proto/decimal.h"
 #include "proto/gather.h"
 #include "proto/schema.h"
 #include "proto/varying.h"
@@ -16,6 +20,245 @@
 
 WIRE_COLD static wire_error bad_value(const char *field, const char *allowed) {
   return wire_error_make(WIRE_STATUS_BAD_VALUE, field, allowed);
+}
+
+/* Compares two names. Few of those that are looked for begin alike. */
+static inline bool is_same(const char *one, const char *other) {
+  return one[0] == other[0] && strcmp(one, other) == 0;
+}
+
+/* ---- JSON ------------------------------------------------------------------------------------ */
+
+enum {
+  DEPTH_MAX = 4,
+  BRACKET_BYTES = 16, /* of a body's limit, for each array or object that the body may have */
+};
+
+/* Checks how many brackets a text has, and how deep, so that a parser takes little memory. */
+static wire_error check_brackets(const char *bytes, size_t count, size_t brackets_max) {
+  size_t brackets = 0;
+  int depth = 0;
+  bool in_string = false;
+  for (size_t i = 0; i < count; i++) {
+    if (bytes[i] == '"') {
+      in_string = !in_string;
+    } else if (in_string) {
+      i += bytes[i] == '\\';
+    } else if (bytes[i] == '[' || bytes[i] == '{') {
+      brackets++;
+      depth++;
+    } else if (bytes[i] == ']' || bytes[i] == '}') {
+      depth--;
+    }
+    if (depth > DEPTH_MAX || brackets > brackets_max) {
+      return bad_value("body", depth > DEPTH_MAX
+                                   ? "JSON that is nested 4 deep at most"
+                                   : "fewer arrays and objects: a sixteenth of max_part_bytes");
+    }
+  }
+  return wire_error_none();
+}
+
+/* Whether there was no memory: jansson tells some of those faults as wrong JSON. */
+static _Thread_local bool lacks_memory;
+
+static void *allocate(size_t bytes) {
+  void *memory = malloc(bytes);
+  lacks_memory |= memory == NULL;
+  return memory;
+}
+
+static wire_error no_memory(void) {
+  return wire_error_busy("max_total_bytes", "less data at a time: there is no memory", 1000);
+}
+
+/* Reads a JSON text: one object without a key that comes twice. The caller releases it by
+ * json_decref(). On failure, sets *error and returns NULL. */
+static json_t *parse_json(const char *bytes, size_t count, size_t brackets_max, wire_error *error) {
+  json_error_t why;
+  char allowed[80];
+  *error = check_brackets(bytes, count, brackets_max);
+  if (error->status != WIRE_STATUS_OK) {
+    return NULL;
+  }
+  lacks_memory = false;
+  json_set_alloc_funcs(allocate, free);
+  json_t *object = json_loadb(bytes, count, JSON_REJECT_DUPLICATES, &why);
+  if (json_is_object(object)) {
+    return object;
+  }
+  /* What jansson quotes of the text may end in the middle of a character. */
+  const char *quoted = strstr(why.text, " near ");
+  snprintf(allowed, sizeof allowed, "JSON (RFC 8259), which it is not at line %d: %.*s", why.line,
+           (int)(quoted != NULL ? quoted - why.text : (ptrdiff_t)strlen(why.text)), why.text);
+  *error =
+      lacks_memory ? no_memory() : bad_value("body", object != NULL ? "a JSON object" : allowed);
+  json_decref(object);
+  return NULL;
+}
+
+/* ---- queries --------------------------------------------------------------------------------- */
+
+static int digit_of(char character) {
+  return !isxdigit((unsigned char)character) ? -1
+         : character <= '9'                  ? character - '0'
+                                             : (character | 0x20) - 'a' + 10;
+}
+
+/* Decodes %XX in place, and ends each element of a list with a zero byte. Returns how many elements
+ * there are, or 0 if it finds another escape, or an escaped zero byte. */
+static size_t unescape(char *text) {
+  char *to = text;
+  size_t count = 1;
+  for (const char *at = text; *at != '\0'; at++) {
+    char byte = *at;
+    if (byte == '%') {
+      const int high = digit_of(at[1]), low = high < 0 ? -1 : digit_of(at[2]);
+      if (low < 0 || high + low == 0) {
+        return 0;
+      }
+      byte = (char)(high << 4 | low);
+      at += 2;
+    }
+    count += byte == ',';
+    *to++ = byte == ',' ? '\0' : byte;
+  }
+  *to = '\0';
+  return count;
+}
+
+/* Makes a text, or a list of texts, each of which ends with a zero byte. Returns NULL if there is no
+ * memory. */
+static json_t *make_value(const char *text, size_t count) {
+  if (count == 1) {
+    return json_string_nocheck(text);
+  }
+  json_t *list = json_array();
+  for (bool good = true; good && count > 0; count--, text += strlen(text) + 1) {
+    good = json_array_append_new(list, json_string_nocheck(text)) == 0;
+    if (!good) {
+      json_decref(list);
+      return NULL;
+    }
+  }
+  return list;
+}
+
+static wire_error add_pair(json_t *object, char *pair) {
+  char *text = strchr(pair, '=');
+  if (text == NULL) {
+    return bad_value("query", "NAME=VALUE, with & between them");
+  }
+  *text++ = '\0';
+  const size_t name_count = unescape(pair), count = unescape(text);
+  if (name_count == 0 || count == 0) {
+    return bad_value("query", "escapes %01 to %FF");
+  }
+  if (name_count > 1) {
+    return bad_value("query", "names without commas");
+  }
+  if (json_object_get(object, pair) != NULL) {
+    return bad_value("query", "each name once: a list has commas, as in r=0.5,1,2");
+  }
+  return json_object_set_new_nocheck(object, pair, make_value(text, count)) == 0 ? wire_error_none()
+                                                                                 : no_memory();
+}
+
+/* Reads what follows the "?" of a URI, likewise: NAME=VALUE with & between them, where commas separate
+ * the elements of a list. Values are texts, or arrays of texts. Changes the text. */
+static json_t *parse_query(char *query, wire_error *error) {
+  json_t *object = json_object();
+  *error = object != NULL ? wire_error_none() : no_memory();
+  for (char *pair; error->status == WIRE_STATUS_OK && (pair = strsep(&query, "&")) != NULL;) {
+    if (*pair != '\0') {
+      *error = add_pair(object, pair);
+    }
+  }
+  if (error->status != WIRE_STATUS_OK) {
+    json_decref(object);
+    return NULL;
+  }
+  return object;
+}
+
+/* ---- reading --------------------------------------------------------------------------------- */
+
+/* Returns how many elements a value has. What is no list counts as a list of one. */
+static size_t count_of(const json_t *value) {
+  return json_is_array(value) ? json_array_size(value) : 1;
+}
+
+/* Returns an element, or NULL if there are fewer. A list of one has it at each index. */
+static const json_t *element_of(const json_t *value, size_t index) {
+  return json_is_array(value) ? json_array_get(value, json_array_size(value) > 1 ? index : 0)
+                              : value;
+}
+
+/* Reads a number, or the texts inf and -inf; in a query all numbers are texts, and one with a leading
+ * zero is none: a list 0,05 is meant as 0.05. Returns false, and sets *number to NaN, if it is none. */
+static bool parse_number(const json_t *value, bool in_query, double *number) {
+  const char *text = json_string_value(value);
+  *number = json_is_number(value) ? json_number_value(value) : (double)NAN;
+  if (text != NULL && (in_query || strcmp(text, "inf") == 0 || strcmp(text, "-inf") == 0) &&
+      (decimal_starts_with_zero(text) || !decimal_read(text, number))) {
+    *number = (double)NAN;
+  }
+  return !isnan(*number);
+}
+
+static wire_error parse_count(const json_t *value, const char *field, uint64_t most,
+                              uint64_t *number) {
+  const char *text = json_string_value(value);
+  char allowed[80];
+  bool good = false;
+  if (json_is_integer(value)) {
+    good = json_integer_value(value) >= 0;
+    *number = (uint64_t)json_integer_value(value);
+  } else if (text != NULL && *text != '\0' && text[strspn(text, "0123456789")] == '\0' &&
+             (text[0] != '0' || text[1] == '\0')) {
+    errno = 0;
+    *number = strtoull(text, NULL, 10);
+    good = errno == 0;
+  }
+  if (good && *number <= most) {
+    return wire_error_none();
+  }
+  snprintf(allowed, sizeof allowed, "an integer from 0 to %llu", (unsigned long long)most);
+  return bad_value(field, allowed);
+}
+
+/* Reads one entry of a list by its name or id. */
+static wire_error read_entry(const json_t *value, const char *field, const core_choice *list,
+                             bool bits, uint64_t *id) {
+  const char *name = json_string_value(value);
+  const core_choice *entry = name != NULL ? core_choice_by_name(list, name) : NULL;
+  if (entry == NULL) {
+    const wire_error error = parse_count(value, field, UINT16_MAX, id);
+    entry = error.status == WIRE_STATUS_OK ? core_choice_by_id(list, (unsigned)*id) : NULL;
+  }
+  if (entry == NULL) {
+    return wire_error_not_in_list(field, list, bits ? "a sum of" : "one of");
+  }
+  *id = entry->id;
+  return wire_error_none();
+}
+
+/* Reads an entry of a list by its name or id, or, with `bits`, the sum of entries. */
+static wire_error parse_choice(const json_t *value, const char *field, const core_choice *list,
+                               bool bits, uint64_t *number) {
+  const size_t count = count_of(value);
+  wire_error error = wire_error_none();
+  *number = 0;
+  if (!bits && (count != 1 || json_is_array(value))) {
+    return bad_value(field, "one entry of its list");
+  }
+  for (size_t i = 0; error.status == WIRE_STATUS_OK && i < count; i++) {
+    uint64_t id = 0;
+    error = read_entry(element_of(value, i), field, list, bits, &id);
+    error.index = i;
+    *number |= id;
+  }
+  return error;
 }
 
 /* ---- the payload ----------------------------------------------------------------------------- */
@@ -88,7 +331,7 @@ static const json_t *value_of(const struct translation *t, const char *name) {
 }
 
 static bool read_number(const struct translation *t, const json_t *value, double *number) {
-  return http_value_number(value, t->in_query, number);
+  return parse_number(value, t->in_query, number);
 }
 
 /* Adds bytes, which start as 0, to the payload. On failure returns NULL. */
@@ -171,7 +414,7 @@ static bool add_coefficients(struct translation *t, const json_t *values, size_t
     const char *name = medium_fields[i].name;
     const json_t *list = json_object_get(values, name);
     if (list != NULL) {
-      if (!read_number(t, http_value_at(list, element), to[i])) {
+      if (!read_number(t, element_of(list, element), to[i])) {
         return fail_at(t, not_a_number(name), index);
       }
     } else if (i < 2) {
@@ -187,7 +430,7 @@ static bool add_coefficients(struct translation *t, const json_t *values, size_t
 
 static bool is_coefficient(const char *name, const json_t *value) {
   for (int i = 0; i < COEFFICIENTS; i++) {
-    if (http_values_same(name, medium_fields[i].name)) {
+    if (is_same(name, medium_fields[i].name)) {
       return !json_is_array(value);
     }
   }
@@ -220,8 +463,7 @@ static bool add_reference(struct translation *t) {
   if (t->message->type != WIRE_TYPE_FIT) {
     return true;
   }
-  if (scale != NULL &&
-      !was_read(t, http_value_read_choice(scale, "scale", core_fit_scales, false, &id))) {
+  if (scale != NULL && !was_read(t, parse_choice(scale, "scale", core_fit_scales, false, &id))) {
     return false;
   }
   if ((id == CORE_FIT_SCALE_REFERENCE) != json_is_object(object)) {
@@ -236,7 +478,7 @@ static bool add_media_lists(struct translation *t) {
   size_t count = 1;
   bool good = true;
   for (int i = 0; i < COEFFICIENTS; i++) {
-    const size_t length = http_value_count(value_of(t, medium_fields[i].name));
+    const size_t length = count_of(value_of(t, medium_fields[i].name));
     if (length == 0 || (count > 1 && length > 1 && length != count)) {
       return fail_with(t, wire_error_make(WIRE_STATUS_BAD_COUNT, medium_fields[i].name,
                                           "one value, or as many as the others"));
@@ -252,10 +494,10 @@ static bool add_media_lists(struct translation *t) {
 
 /* Adds a medium: an object, or a list of them, one for each layer. */
 static bool add_medium(struct translation *t, const json_t *item, size_t index) {
-  const size_t layers = http_value_count(item);
+  const size_t layers = count_of(item);
   bool good = begin_medium(t, layers, index);
   for (size_t i = 0; good && i < layers; i++) {
-    good = add_object(t, "medium", http_value_at(item, i), index, USUAL_ETA);
+    good = add_object(t, "medium", element_of(item, i), index, USUAL_ETA);
   }
   return good;
 }
@@ -277,10 +519,10 @@ static bool add_media(struct translation *t) {
   if (thickness != NULL && !read_number(t, thickness, &t->thickness_mm)) {
     return fail_with(t, not_a_number("thickness"));
   }
-  const size_t count = http_value_count(media);
+  const size_t count = count_of(media);
   bool good = true;
   for (size_t i = 0; good && i < count; i++) {
-    const json_t *item = http_value_at(media, i);
+    const json_t *item = element_of(media, i);
     const char *name = json_string_value(item);
     good = name != NULL ? add_measured(t, name, i) : add_medium(t, item, i);
   }
@@ -299,7 +541,7 @@ static const schema_field *shown_field(const schema_message *message, const char
   const schema_field *field;
   for (unsigned i = 0; (field = http_request_fields(message->request, i)) != NULL; i++) {
     for (; field->name != NULL; field++) {
-      if (!field->hidden && http_values_same(field->name, name)) {
+      if (!field->hidden && is_same(field->name, name)) {
         return field;
       }
     }
@@ -318,7 +560,7 @@ static bool add_parameters(struct translation *t) {
     }
     uint64_t id = 0;
     const bool named = list != NULL && json_string_value(value) != NULL;
-    if (named && !was_read(t, http_value_read_choice(value, one->name, list, false, &id))) {
+    if (named && !was_read(t, parse_choice(value, one->name, list, false, &id))) {
       return false;
     }
     if (!named && !read_number(t, value, &parameter.value)) {
@@ -344,8 +586,7 @@ static const schema_part *ruled_list(const schema_message *message, const char *
   const schema_part *part;
   for (unsigned i = 0; (part = http_request_list(message->request, i, &name)) != NULL; i++) {
     if (part->form == SCHEMA_GIVEN && part->when.name != NULL &&
-        (http_values_same(part->when.name, field) ||
-         http_values_same(part->count[0].name, field))) {
+        (is_same(part->when.name, field) || is_same(part->count[0].name, field))) {
       return part;
     }
   }
@@ -373,7 +614,7 @@ static bool is_tabled(const struct translation *t) {
   read_number(t, value_of(t, "tolerance"), &tolerance); /* NaN: not given */
   if (model != NULL) {
     /* a wrong name is refused later */
-    http_value_read_choice(model, "model", core_models, false, &id);
+    parse_choice(model, "model", core_models, false, &id);
   }
   return core_solves((unsigned)id) && !(tolerance < CORE_LUT_TOLERANCE_MIN);
 }
@@ -389,7 +630,7 @@ static unsigned usual_of_varying(const struct translation *t, const char *field)
   static const unsigned quantities[VARYING_NUMBERS] = {
       [VARYING_RADII] = CORE_QUANTITY_R, [VARYING_DRAWN] = CORE_QUANTITY_RADIUS};
   const enum varying_numbers numbers = numbers_of(t);
-  return http_values_same(field, "wanted") ? quantities[numbers]
+  return is_same(field, "wanted") ? quantities[numbers]
          : is_coloured(t) && numbers == VARYING_NONE
              ? (unsigned)CORE_COEFFICIENT_SIGMA_A | (unsigned)CORE_COEFFICIENT_SIGMA_S
              : 0;
@@ -406,23 +647,21 @@ static unsigned usual_choice(const struct translation *t, const schema_field *fi
     return usual_of_varying(t, field->name);
   }
   if ((varying && field->or_zero && !is_coloured(t)) ||
-      (http_values_same(field->name, "model") && chooses_by_tolerance(t))) {
+      (is_same(field->name, "model") && chooses_by_tolerance(t))) {
     return 0;
   }
   if (field->bits && t->message->type == WIRE_TYPE_OFFERS) {
     return CORE_QUANTITY_R;
   }
-  return http_values_same(field->name, "evaluator") && !varying && is_tabled(t)
-             ? CORE_EVALUATOR_LUT
-             : (unsigned)field->usual;
+  return is_same(field->name, "evaluator") && !varying && is_tabled(t) ? CORE_EVALUATOR_LUT
+                                                                       : (unsigned)field->usual;
 }
 
 static bool read_choice(struct translation *t, const schema_field *field, uint64_t *number) {
   const json_t *value = value_of(t, field->name);
   const schema_part *list = ruled_list(t->message, field->name);
   if (value != NULL) {
-    return was_read(t,
-                    http_value_read_choice(value, field->name, field->list, field->bits, number)) &&
+    return was_read(t, parse_choice(value, field->name, field->list, field->bits, number)) &&
            (list == NULL || value_of(t, list->name) == NULL || *number == list->is ||
             fail_with(t, bad_value(field->name, "list, beside a list of numbers")));
   }
@@ -440,15 +679,14 @@ static bool read_plain(struct translation *t, const schema_field *field, uint64_
   bool good = true;
   if (field->kind != SCHEMA_f64) {
     *number = (uint64_t)real;
-    return value == NULL ||
-           was_read(t, http_value_read_count(value, field->name, most[field->kind], number));
+    return value == NULL || was_read(t, parse_count(value, field->name, most[field->kind], number));
   }
   if (value != NULL) {
     good = read_number(t, value, &real) || fail_with(t, not_a_number(field->name));
   } else if (field->required) {
     return fail_with(t, eta_of_fit());
   } else {
-    t->g_is_default |= http_values_same(field->name, "g");
+    t->g_is_default |= is_same(field->name, "g");
   }
   memcpy(number, &real, sizeof real);
   return good;
@@ -461,7 +699,7 @@ static bool is_nested(const json_t *list) {
 
 /* Returns how many sets of readings, or channels, a list has. */
 static size_t sets_of(const json_t *list) {
-  return is_nested(list) ? http_value_count(list) : 1;
+  return is_nested(list) ? count_of(list) : 1;
 }
 
 /* Returns the length of the longest list that is given, of those that may be one number for all. */
@@ -472,7 +710,7 @@ static size_t longest(const struct translation *t) {
   for (unsigned i = 0; (part = http_request_list(t->message->request, i, &name)) != NULL; i++) {
     const bool counts = part->form == SCHEMA_EACH || part->form == SCHEMA_POSITIONS;
     const json_t *value = value_of(t, name);
-    const size_t length = counts && value != NULL ? http_value_count(value) : 0;
+    const size_t length = counts && value != NULL ? count_of(value) : 0;
     count = length > count ? length : count;
   }
   return count;
@@ -480,33 +718,33 @@ static size_t longest(const struct translation *t) {
 
 /* Returns a number that JSON does not have: it counts elements that follow, or is 0. */
 static uint64_t counted(const struct translation *t, const schema_field *field) {
-  if (http_values_same(field->name, "layer_count")) {
+  if (is_same(field->name, "layer_count")) {
     return t->layer_count;
   }
   for (const schema_part *part = t->message->request->parts; part->name != NULL; part++) {
     const char *first = part->count[0].name, *second = part->count[1].name;
-    if ((first == NULL || !http_values_same(first, field->name)) &&
-        (second == NULL || !http_values_same(second, field->name))) {
+    if ((first == NULL || !is_same(first, field->name)) &&
+        (second == NULL || !is_same(second, field->name))) {
       continue;
     }
     const json_t *list = value_of(t, part->name);
     return part->form == SCHEMA_EACH || part->form == SCHEMA_POSITIONS  ? longest(t)
            : part->form == SCHEMA_CHANNELS || part->form == SCHEMA_SETS ? sets_of(list)
-           : part->kind != SCHEMA_LIST && list != NULL                  ? http_value_count(list)
-           : http_values_same(part->name, "medium")                     ? t->medium_count
-           : http_values_same(part->name, "parameter")                  ? t->parameter_count
+           : part->kind != SCHEMA_LIST && list != NULL                  ? count_of(list)
+           : is_same(part->name, "medium")                              ? t->medium_count
+           : is_same(part->name, "parameter")                           ? t->parameter_count
                                                                         : 0;
   }
-  return http_values_same(field->name, "numbers")       ? numbers_of(t)
-         : http_values_same(field->name, "point_count") ? longest(t)
-                                                        : 0;
+  return is_same(field->name, "numbers")       ? numbers_of(t)
+         : is_same(field->name, "point_count") ? longest(t)
+                                               : 0;
 }
 
 static bool read_field(struct translation *t, const schema_field *field, uint64_t *number) {
   if (field->list != NULL) {
     const bool read = read_choice(t, field, number);
     const unsigned type = t->message->type;
-    if (http_values_same(field->name, "wanted") && *number != 0 &&
+    if (is_same(field->name, "wanted") && *number != 0 &&
         (type == WIRE_TYPE_EVAL || type == WIRE_TYPE_SAMPLE || type == WIRE_TYPE_VARYING)) {
       *number |= CORE_QUANTITY_MODEL_ERROR; /* model_error is always wanted, as in Python */
     }
@@ -519,7 +757,7 @@ static bool read_field(struct translation *t, const schema_field *field, uint64_
   const schema_part *list = ruled_list(t->message, field->name);
   const json_t *values = value_of(t, list != NULL ? list->name : "");
   if (values != NULL) {
-    *number = http_value_count(values);
+    *number = count_of(values);
     return value_of(t, field->name) == NULL ||
            fail_with(t, bad_value(field->name, "nothing beside the list that it counts"));
   }
@@ -561,7 +799,7 @@ static bool put_fixed(struct translation *t, const schema_field *fields, size_t 
              schema_field_bytes(field)); /* the lowest byte is the first (proto/wire.c) */
     }
     *offset += schema_field_bytes(field);
-    if (http_values_same(field->name, "evaluator")) {
+    if (is_same(field->name, "evaluator")) {
       *single = core_evaluator_bytes((unsigned)number) == sizeof(float);
     }
   }
@@ -573,7 +811,7 @@ static bool put_fixed(struct translation *t, const schema_field *fields, size_t 
 static bool is_known(const schema_message *message, const char *key) {
   const char *name;
   for (unsigned i = 0; http_request_list(message->request, i, &name) != NULL; i++) {
-    if (http_values_same(name, key)) {
+    if (is_same(name, key)) {
       return true;
     }
   }
@@ -631,7 +869,7 @@ static bool check_pairs(struct translation *t) {
  * its only one again and again. */
 static bool put_numbers(struct translation *t, const char *name, const json_t *list, size_t count,
                         bool spreads, uint8_t *at, size_t step, bool single) {
-  const size_t length = http_value_count(list);
+  const size_t length = count_of(list);
   if (list == NULL) {
     return fail_with(t, bad_value(name, "numbers: it has to be given"));
   }
@@ -642,7 +880,7 @@ static bool put_numbers(struct translation *t, const char *name, const json_t *l
   }
   for (size_t i = 0; i < count; i++, at += step) {
     double number;
-    if (!read_number(t, http_value_at(list, i), &number)) {
+    if (!read_number(t, element_of(list, i), &number)) {
       return fail_at(t, not_a_number(name), i);
     }
     const float rounded = (float)number;
@@ -660,7 +898,7 @@ static size_t first_count(const struct translation *t) {
   const char *name;
   http_request_list(t->message->request, 0, &name);
   const json_t *first = value_of(t, name);
-  return first != NULL ? http_value_count(first) : 0;
+  return first != NULL ? count_of(first) : 0;
 }
 
 /* Writes a part that is lists of numbers: the sets of readings one after the other, the coordinates
@@ -713,8 +951,8 @@ static void name_points(struct translation *t) {
 static bool read_deadline(struct translation *t, uint32_t *deadline_ms) {
   const json_t *value = value_of(t, "deadline_ms");
   uint64_t limit_ms = 0;
-  const bool good = value == NULL ||
-                    was_read(t, http_value_read_count(value, "deadline_ms", UINT32_MAX, &limit_ms));
+  const bool good =
+      value == NULL || was_read(t, parse_count(value, "deadline_ms", UINT32_MAX, &limit_ms));
   *deadline_ms = (uint32_t)limit_ms;
   return good;
 }
@@ -745,16 +983,22 @@ static bool put_all(struct translation *t, uint32_t *deadline_ms) {
   return good;
 }
 
-wire_error http_request_translate(const schema_message *message, const json_t *values,
+wire_error http_request_translate(const schema_message *message, char *text, size_t text_bytes,
                                   bool in_query, struct http_text *payload, size_t bytes_max,
                                   uint32_t *deadline_ms, bool *g_is_default) {
+  wire_error error = wire_error_none();
+  json_t *values = in_query ? parse_query(text, &error)
+                            : parse_json(text, text_bytes, bytes_max / BRACKET_BYTES, &error);
   struct translation t = {.message = message,
                           .values = values,
                           .in_query = in_query,
                           .payload = payload,
                           .bytes_max = bytes_max};
   *deadline_ms = 0;
-  const bool good = put_all(&t, deadline_ms);
+  if (values != NULL && !put_all(&t, deadline_ms)) {
+    error = t.error;
+  }
   *g_is_default = t.g_is_default;
-  return good ? wire_error_none() : t.error;
+  json_decref(values);
+  return error;
 }

@@ -5,11 +5,11 @@
 
 #include "proto/schema.h"
 #include "server/http/text.h"
-#include "server/http/values.h"
 
 /* Writes the payload of a request, of at most bytes_max bytes, its deadline, and whether its g is a
- * default. in_query: whether the values are those of a query. The daemon checks the values when it serves the request. */
-wire_error http_request_translate(const schema_message *message, const json_t *values,
+ * default. text: JSON of text_bytes bytes, or, in_query, what follows the "?" of a URI with a zero byte
+ * behind it, which changes. The daemon checks the values when it serves the request. */
+wire_error http_request_translate(const schema_message *message, char *text, size_t text_bytes,
                                   bool in_query, struct http_text *payload, size_t bytes_max,
                                   uint32_t *deadline_ms, bool *g_is_default);
 

@@ -255,7 +255,7 @@ $ dipole mc --sigma-a 0.1 --sigma-s 0.9 --total-error -1
 ? 1
 
 $ dipole mc --sigma-a 0.1 --sigma-s 0.9 --photons 1e12
-! dipole mc: too-large: photons: allowed: at most 10000000000 (--photons)
+! dipole mc: too-large: photons: allowed: at most 10000000000 photons (--photons)
 ? 1
 
 $ dipole mc --sigma-a 0.1 --sigma-s 0.9 --detector-na 1.1

@@ -1,4 +1,5 @@
 /* The target for requests over HTTP: queries and JSON texts, and the payloads that they become. */
+#include <jansson.h>
 #include <stdlib.h>
 #include <string.h>
 
@@ -6,7 +7,7 @@
 #include "server/http/request.h"
 #include "tests/fuzz/daemon.h"
 
-enum { BRACKETS = 1000, PAYLOAD = 65536, BODY = 1, MESSAGES_AT = 2 };
+enum { PAYLOAD = 65536, BODY = 1, MESSAGES_AT = 2 };
 
 /* Returns a message that HTTP has. */
 static const schema_message *choose(unsigned number) {
@@ -38,7 +39,6 @@ void fuzz_http(const uint8_t *data, size_t size) {
   const bool is_body = (data[0] & BODY) != 0;
   const schema_message *message = choose(data[1]);
   const uint64_t before = atomic_load(&fuzz_server.buffers.bytes);
-  wire_error error = wire_error_none();
   struct http_text payload;
   uint32_t deadline_ms;
   bool g_is_default;
@@ -47,13 +47,8 @@ void fuzz_http(const uint8_t *data, size_t size) {
   CHECK(text != NULL);
   memcpy(text, data + MESSAGES_AT, size - MESSAGES_AT);
   text[size - MESSAGES_AT] = '\0';
-  json_t *values = is_body ? http_values_parse(text, size - MESSAGES_AT, BRACKETS, &error)
-                           : http_values_parse_query(text, &error);
-  if (values != NULL) {
-    error = http_request_translate(message, values, !is_body, &payload, PAYLOAD, &deadline_ms,
-                                   &g_is_default);
-    json_decref(values);
-  }
+  wire_error error = http_request_translate(message, text, size - MESSAGES_AT, !is_body, &payload,
+                                            PAYLOAD, &deadline_ms, &g_is_default);
   if (error.status == WIRE_STATUS_OK) {
     CHECK(payload.count % WIRE_ALIGNMENT == 0 && payload.count <= PAYLOAD);
     uint8_t *copy = fuzz_copy((const uint8_t *)payload.bytes, payload.count);
