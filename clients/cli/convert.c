@@ -221,6 +221,10 @@ static bool find_colours(const material *of, unsigned model, const dipole_medium
   query.media = media;
   query.medium_count = (uint32_t)of->count;
   if (!CLI_RETRY(of->settings, &error, dipole_eval(of->client, &query, &result, &error))) {
+    if (of->from != NULL && strcmp(error.field, "sigma_a") == 0) {
+      return cli_fails("--colour: channel %llu is too dark for its g; allowed is sigma_a %s",
+                       (unsigned long long)error.index + 1, error.allowed);
+    }
     cli_fail_error(&error);
     return false;
   }
@@ -660,7 +664,7 @@ static int check(cli_settings *settings) {
     return CLI_USAGE;
   }
   if (is_native(settings) && (to == NULL || to->form == &form_NONE)) {
-    return cli_fail_usage("--format native: %s has none", name_of(to));
+    return cli_fail_usage("--format native: %s has none; take json or csv", name_of(to));
   }
   if (from == NULL) {
     return cli_medium_check(settings);

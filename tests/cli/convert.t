@@ -141,6 +141,10 @@ $ dipole convert --from openpbr --colour .5 --length 1 --to gltf --format native
 ! `dipole convert --help` says more.
 ? 2
 
+$ dipole convert --from dspbr --colour .5,.0003 --length 1 --g .9
+! dipole convert: --colour: channel 2 is too dark for its g; allowed is sigma_a 0 to 1000 sigma_s (1 - g) with transport
+? 1
+
 $ dipole convert --from openpbr --colour .00001 --length 1
 ! dipole convert: --colour: channel 1: no medium has the colour 1e-05 and the length
 ? 1
