@@ -279,7 +279,6 @@ bool transport_table_open(transport_table *table, const uint8_t *bytes, size_t l
   table->packed = calloc(1, sizeof *table->packed);
   bool good = table->packed != NULL;
   for (int side = 0; side < 2 * SIDES && good; side++) {
-    table->difference = side <= SIDES ? at : table->difference;
     good = pack_side(&at, side, table->packed->series[side]);
   }
   if (!good) {
@@ -389,29 +388,20 @@ static void polynomials_of_v(const double *field, double eta, double *values) {
   core_chebyshev_polynomials(TERMS_MAX, mapped(transport_table_v(eta), range[0], range[1]), values);
 }
 
-/* Set values[] to the polynomials of the albedo's coordinate: t for isotropic scattering, u for D;
- * the third, to those of g. */
-static void polynomials_of_t(const double *field, double albedo, double *values) {
-  core_chebyshev_polynomials(TERMS_MAX,
-                             mapped(transport_table_t(albedo),
-                                    transport_table_t(field[TRANSPORT_TABLE_ALBEDO_MOST]),
-                                    transport_table_t(field[TRANSPORT_TABLE_ALBEDO_LEAST])),
+/* Sets values[] to the polynomials of a coordinate at x, which is `first` and `last` at its ends. */
+static void polynomials_of(double (*coordinate)(double), double x, double first, double last,
+                           double *values) {
+  core_chebyshev_polynomials(TERMS_MAX, mapped(coordinate(x), coordinate(first), coordinate(last)),
                              values);
+}
+
+static void polynomials_of_t(const double *field, double albedo, double *values) {
+  polynomials_of(transport_table_t, albedo, field[TRANSPORT_TABLE_ALBEDO_MOST],
+                 field[TRANSPORT_TABLE_ALBEDO_LEAST], values);
 }
 
 static void polynomials_of_u(const double *field, double albedo, double *values) {
-  core_chebyshev_polynomials(TERMS_MAX,
-                             mapped(transport_table_u(albedo), transport_table_u(1),
-                                    transport_table_u(field[TRANSPORT_TABLE_ALBEDO_LEAST])),
-                             values);
-}
-
-static void polynomials_of_w(const double *field, double g, double *values) {
-  core_chebyshev_polynomials(TERMS_MAX,
-                             mapped(transport_table_w(g),
-                                    transport_table_w(field[TRANSPORT_TABLE_G_LEAST]),
-                                    transport_table_w(field[TRANSPORT_TABLE_G_MOST])),
-                             values);
+  polynomials_of(transport_table_u, albedo, 1, field[TRANSPORT_TABLE_ALBEDO_LEAST], values);
 }
 
 /* Completes a difference whose terms have been set: joins its panels and sets last_slope. */
@@ -441,7 +431,8 @@ static void set_weights(const double *field, bool of_difference, double g, doubl
                         struct weights *weights) {
   polynomials_of_v(field, eta, weights->of_v);
   if (of_difference) {
-    polynomials_of_w(field, g, weights->of_l);
+    polynomials_of(transport_table_w, g, field[TRANSPORT_TABLE_G_LEAST],
+                   field[TRANSPORT_TABLE_G_MOST], weights->of_l);
   } else {
     memset(weights->of_l, 0, sizeof weights->of_l);
     weights->of_l[0] = 1;

@@ -141,7 +141,6 @@ enum transport_table_side {
  * are summed. */
 typedef struct transport_table {
   double field[TRANSPORT_TABLE_FIELDS];
-  const uint8_t *difference; /* index of the byte where D begins */
   struct transport_packed *packed;
 } transport_table;
 
