@@ -22,7 +22,7 @@ enum { SIDES = SOLVER_SIDES, GRIDS = 2 };
 
 /* Grids for layers. Functions of an even number of degrees, order 0 that is, are the better ones:
  * beyond k = 5 those of odd numbers are off by up to 10 times as much, and the other way. */
-enum { LEVELS = 6 };
+enum { LEVELS = 5 };
 static const struct level levels[LEVELS] = {
     {1e-3,
      24,
@@ -54,24 +54,17 @@ static const struct level levels[LEVELS] = {
      0.7,
      9,
      {{0.3, {5, 10, 4}}, {1, {7, 12, 4}}, {3, {8, 16, 5}}, {7.5, {10, 20, 6}}}},
-    {1e-5,
-     80,
-     {2e-4, 4e-5},
-     0.7,
-     10,
-     {{0.3, {6, 14, 5}}, {1, {8, 16, 5}}, {3, {11, 20, 6}}, {9, {12, 26, 8}}}},
 };
 
-/* At most so many grids are solved, the finest for a tolerance below 1e-3 only, and the next one only
- * if those that are left promise to reach the tolerance of R or of T: each is up to so many times as
- * good as the one before. */
+/* At most so many grids are solved, and the next one only if those that are left promise to reach the
+ * tolerance of R or of T: each is up to so many times as good as the one before. A still finer one
+ * would have wavenumbers of T beyond its digits. */
 enum { GRIDS_MOST = 4 };
 #define GAIN 4.0
 
 /* Stated errors over the grids' difference. Grids share their errors more than those of a half
- * space: in a slab of 0.25 mean free paths T was off by 2.8 times the difference, in three layers R
- * by 3.7. */
-#define MARGIN 4.0
+ * space: of 80 random stacks, R was off by up to 4.4 times the difference. */
+#define MARGIN 5.0
 
 /* A layer of less depth does not cut off enough of its phase function to count. */
 #define CUT_DEPTH 0.02
@@ -293,19 +286,23 @@ static void place_wavenumbers(struct grid *to, const struct solver_layers *of,
   double end[TIERS];
   for (size_t tier = 0; tier < TIERS; tier++) {
     end[tier] = tier + 1 == TIERS
-                    ? last
+                    ? last_above
                     : fmin(by->tier[tier].k_most * (of->sides > 1 ? all_least : least), last);
   }
   to->rate = rate_of(to, of);
   to->rate = to->rate < PATH_RATE_LEAST ? 0 : to->rate;
+  /* R's panels end where R needs no more, T has further ones: K, whose error grids of the same K
+   * share, is another one on each grid. */
   exitance_grid *above = &to->wavenumbers[0], *below = &to->wavenumbers[1];
-  solver_exitance_place(below, NULL, to->rate, by->share, all_least, by->nodes, end);
-  *above = *below;
-  /* Panels double in width: the last one ends nearest to what R needs. */
-  while (creal(above->point[above->panels - 1]) >= 0.7 * last_above) {
-    above->panels--;
+  solver_exitance_place(above, NULL, to->rate, by->share, all_least, by->nodes, end);
+  *below = *above;
+  while (below->tier_end[TIERS - 1] < last) {
+    const double next = 2 * below->tier_end[TIERS - 1];
+    below->tier_end[TIERS - 1] = next > 0.7 * last ? last : next;
+    below->point[below->panels + 1] =
+        CMPLX(below->tier_end[TIERS - 1], cimag(below->point[below->panels]));
+    below->panels++;
   }
-  above->tier_end[TIERS - 1] = creal(above->point[above->panels]);
 }
 
 /* k^2 T falls from its peak on, where it crosses thick layers as e^(-k thickness). Where it rises
@@ -511,6 +508,10 @@ core_fault solver_layers_check(const solver_layer *layer, size_t count, double e
   return is_eta(eta_below) ? no_fault : (core_fault){"eta_below", "0.25 to 4", 0};
 }
 
+/* The largest error up to so many times as far away or as near is stated (solver_error_near()). */
+#define NEIGHBOURS 2.6
+#define DECAYS_MOST (SOLVER_DECAYS_MOST * 1.2)
+
 /* Below this many times 1 / K, R and T are made of waves beyond K, which both grids guess. */
 #define GUESSED 4.0
 
@@ -542,8 +543,8 @@ static void find_errors(solver_layers *of, double worst[SIDES]) {
           solver_error_between(margin, value, value_at(of->grid[1], side, r_mm, &size));
       above = fmax(error, units < guessed ? above : 0);
       of->error[side][i] = above;
-      const bool counts =
-          r >= RADIUS_COUNTS && r <= SOLVER_RADIUS_MOST && units * fine->rate < SOLVER_DECAYS_MOST;
+      const bool counts = r * NEIGHBOURS >= RADIUS_COUNTS && r <= SOLVER_RADIUS_MOST * NEIGHBOURS &&
+                          units * fine->rate < DECAYS_MOST;
       worst[side] = counts ? fmax(worst[side], above) : worst[side];
     }
   }
@@ -595,7 +596,7 @@ core_fault solver_layers_solve(solver_layers **solution, const core_isa *isa,
   solver_layers *made = new_solution(layer, count, eta_below);
   bool ok = made != NULL;
   const size_t first = tolerance < 3e-3 ? 2 : 0;
-  const size_t end = first == 0 ? GRIDS_MOST : tolerance < 1e-3 ? LEVELS : LEVELS - 1;
+  const size_t end = first == 0 ? GRIDS_MOST : LEVELS;
   double worst[SIDES] = {INFINITY, INFINITY}, before[SIDES];
   bool hopes = true;
   for (size_t level = first; ok && hopes && level < end; level++) {

@@ -145,7 +145,7 @@ core_fault solver_layers_solve(solver_layers **solution, const core_isa *isa,
                                const solver_layer *layer, size_t count, double eta_below,
                                double tolerance, const atomic_bool *stop);
 
-/* The same on the grid number `level` alone, from 0, the coarsest, to 5: without a second grid the
+/* The same on the grid number `level` alone, from 0, the coarsest, to 4: without a second grid the
  * errors of its values are not known. Solutions of nearly the same layers on one grid share its error,
  * which their difference does not have. */
 core_fault solver_layers_solve_level(solver_layers **solution, const core_isa *isa,

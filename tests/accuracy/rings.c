@@ -24,10 +24,9 @@
  * states; beyond is by how many standard errors Monte Carlo is off by more than what is stated.
  *
  * `stacks` solves COUNT random stacks of 1 to 5 layers with the tolerances 1e-2 and 1e-3 and on the
- * finest grid but one (T's wavenumbers on the finest reach further than its digits), and prints a
- * line of CSV for R and one for T of each: the largest relative error that is stated from 0.05 to 30
- * reduced mean free paths of the first layer, where R is above 1e-9 of its largest, and share, the
- * largest difference from that grid over what is stated. */
+ * finest grid, and prints a line of CSV for R and one for T of each: the largest relative error that
+ * is stated from 0.05 to 30 reduced mean free paths of the first layer, where R is above 1e-9 of its
+ * largest, and share, the largest difference from that grid over what is stated. */
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
@@ -301,7 +300,7 @@ static bool check_walked(double millions, size_t first, size_t count) {
 
 /* ---- stacks of layers ------------------------------------------------------------------------- */
 
-enum { STACK_LAYERS = 5, REFERENCE_LEVEL = 4 };
+enum { STACK_LAYERS = 5, FINEST_LEVEL = 4 };
 
 static size_t draw_stack(uint64_t *state, solver_layer layer[STACK_LAYERS], double *eta_below) {
   const size_t count = 1 + (size_t)(core_splitmix(state) % STACK_LAYERS);
@@ -337,7 +336,7 @@ static bool check_stack(size_t number, const solver_layer *layer, size_t count, 
       return true;
     }
   }
-  tools_check(solver_layers_solve_level(&fine, isa, layer, count, eta_below, REFERENCE_LEVEL, NULL),
+  tools_check(solver_layers_solve_level(&fine, isa, layer, count, eta_below, FINEST_LEVEL, NULL),
               "the solver");
   const double mfp_mm = 1 / (layer[0].sigma_a_per_mm + layer[0].sigma_s_per_mm * (1 - layer[0].g));
   bool good = true;
