@@ -204,6 +204,7 @@ enum dipole_kind {
   DIPOLE_LIGHT,
   DIPOLE_VALUE,
   DIPOLE_COEFFICIENT,
+  DIPOLE_UNKNOWN,
 };
 
 typedef struct dipole_choice {
@@ -674,6 +675,57 @@ bool dipole_fit(dipole_client *client, const dipole_fit_query *query, dipole_fit
                 dipole_error *error);
 
 void dipole_fits_free(dipole_fits *fits); /* fits may be NULL */
+
+/* What a fit of layers seeks: bits, of the top layer (1) and of the layer below it. */
+enum dipole_unknown {
+  DIPOLE_SIGMA_A_1 = 1,
+  DIPOLE_SIGMA_S_1 = 2,
+  DIPOLE_THICKNESS_1 = 4,
+  DIPOLE_SIGMA_A_2 = 8,
+  DIPOLE_SIGMA_S_2 = 16,
+  DIPOLE_THICKNESS_2 = 32,
+};
+
+typedef struct dipole_layers_query {
+  const dipole_medium *layers; /* [layer_count]; what they say of the unknowns has no meaning */
+  uint32_t layer_count;        /* 1 to 8 */
+  unsigned unknowns;           /* sum of enum dipole_unknown */
+  unsigned scale;              /* DIPOLE_ABSOLUTE or DIPOLE_FREE */
+  uint64_t reading_count;      /* as many as there are unknowns, to 1024 */
+  const double *at;            /* [reading_count] distances in mm */
+  const double *values;        /* [reading_count] R in 1/mm^2 */
+  const double *errors;        /* [reading_count] their standard errors */
+  unsigned deadline_ms;        /* as of an eval */
+} dipole_layers_query;
+
+/* What was found of one unknown. */
+typedef struct dipole_estimate {
+  uint16_t unknown; /* enum dipole_unknown */
+  uint16_t status;  /* DIPOLE_FITTED, DIPOLE_FIT_AT_BOUND or DIPOLE_FIT_UNDETERMINED */
+  uint32_t zero;
+  double value; /* 1/mm or mm; NaN if undetermined */
+  double error; /* its standard error; infinity unless fitted */
+} dipole_estimate;
+
+typedef struct dipole_layers_fit {
+  unsigned status; /* enum dipole_fit_status: DIPOLE_FITTED if all unknowns are */
+  uint64_t estimate_count;
+  const dipole_estimate *estimates; /* [estimate_count], in the order of their bits */
+  double factor, factor_error;      /* of all readings; 1 and 0 unless the scale is DIPOLE_FREE */
+  double chi_squared;
+  double reduced_chi_squared; /* over readings less unknowns; NaN if there are as many unknowns */
+  double numerical_error;     /* the largest one of R, relative, which is in no standard error */
+  uint64_t reading_count;
+  const double *residuals; /* [reading_count]: (value - factor R) / error */
+} dipole_layers_fit;
+
+/* Finds coefficients and thicknesses of the two upper layers of a stack from readings of R, by
+ * transport, and waits for the reply, which takes 5 to 40 s. The caller frees *fit with
+ * dipole_layers_fit_free(). */
+bool dipole_fit_layers(dipole_client *client, const dipole_layers_query *query,
+                       dipole_layers_fit **fit, dipole_error *error);
+
+void dipole_layers_fit_free(dipole_layers_fit *fit); /* fit may be NULL */
 
 /* ---- tables -------------------------------------------------------------------------------- */
 

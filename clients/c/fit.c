@@ -12,6 +12,8 @@
 _Static_assert(sizeof(dipole_fitted) == WIRE_BYTES_fitted, "the structures are the same");
 _Static_assert(offsetof(dipole_fitted, sigma_a_per_mm) == 16, "the structures are the same");
 
+_Static_assert(sizeof(dipole_estimate) == WIRE_BYTES_estimate, "the structures are the same");
+
 /* ---- parts --------------------------------------------------------------------------------- */
 
 static bool merge_part(const libdipole_pending *pending, const void *part, void *whole) {
@@ -102,4 +104,60 @@ bool dipole_fit(dipole_client *client, const dipole_fit_query *query, dipole_fit
 
 void dipole_fits_free(dipole_fits *fits) {
   free(fits); /* with its frame */
+}
+
+/* ---- layers -------------------------------------------------------------------------------- */
+
+bool dipole_fit_layers(dipole_client *client, const dipole_layers_query *query,
+                       dipole_layers_fit **fit, dipole_error *error) {
+  error = error != NULL ? error : &(dipole_error){0};
+  if (query->unknowns > UINT16_MAX || query->scale > UINT16_MAX ||
+      query->layer_count > CORE_LAYERS_MAX || query->reading_count > CORE_FIT_READINGS_MAX) {
+    return libdipole_fail_argument(error,
+                                   "unknowns or scale is above 65535, layer_count above 8 or "
+                                   "reading_count above 1024");
+  }
+  const wire_fit_layers_request start = {.scale = (uint16_t)query->scale,
+                                         .unknowns = (uint16_t)query->unknowns,
+                                         .layer_count = query->layer_count,
+                                         .reading_count = (uint32_t)query->reading_count};
+  const wire_fit_layers_reply shape = {.unknowns = start.unknowns,
+                                       .reading_count = start.reading_count};
+  const uint64_t bytes = schema_bytes(&schema_fit_layers_reply, &shape);
+  const void *const parts[] = {query->layers, query->at, query->values, query->errors};
+  libdipole_pending pending = {.kind = &libdipole_plain,
+                               .type = WIRE_TYPE_FIT_LAYERS,
+                               .deadline_ms = query->deadline_ms,
+                               .reply_bytes_min = bytes,
+                               .reply_bytes_max = bytes};
+  libdipole_frame *frame = NULL;
+  if (!libdipole_request_put(client, &pending, &schema_fit_layers_request, &start, parts, error) ||
+      (frame = libdipole_reply(client, &pending, error)) == NULL) {
+    return false;
+  }
+  const wire_fit_layers_reply *fixed = (const void *)frame->payload;
+  if (fixed->unknowns != shape.unknowns || fixed->reading_count != shape.reading_count) {
+    free(frame);
+    return libdipole_bad_reply(client, "a fit of layers is of other readings", error);
+  }
+  const dipole_estimate *estimates = (const void *)(fixed + 1);
+  const size_t count = (size_t)__builtin_popcount(fixed->unknowns);
+  frame->layers_fit = (dipole_layers_fit){
+      .status = fixed->status,
+      .estimate_count = count,
+      .estimates = estimates,
+      .factor = fixed->factor,
+      .factor_error = fixed->factor_error,
+      .chi_squared = fixed->chi_squared,
+      .reduced_chi_squared = fixed->reduced_chi_squared,
+      .numerical_error = fixed->numerical_error,
+      .reading_count = fixed->reading_count,
+      .residuals = (const void *)(estimates + count),
+  };
+  *fit = &frame->layers_fit;
+  return true;
+}
+
+void dipole_layers_fit_free(dipole_layers_fit *fit) {
+  free(fit); /* with its frame */
 }

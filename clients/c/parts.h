@@ -16,6 +16,7 @@ typedef struct libdipole_frame {
     dipole_result result;
     dipole_inversion inversion;
     dipole_fits fits;
+    dipole_layers_fit layers_fit;
     dipole_varying_result varying;
     dipole_mc_result mc;
   };

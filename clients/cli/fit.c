@@ -28,6 +28,12 @@ static const cli_option options[] = {
     CLI_OPTION(NUMBERS, reference, NULL,
                "R is divided by the reading of a known medium at the same place: sigma_a, sigma_s "
                "(1/mm), g and eta of that medium"),
+    {"layer",
+     "in place of half spaces: a layer of a stack, from the top down, with x for each sigma_a, "
+     "sigma_s and thickness that is sought, of the two upper layers; repeat it for each. A last "
+     "one "
+     "without thickness is a half space",
+     CLI_FILES, offsetof(cli_settings, layer), NULL, "SIGMA_A,SIGMA_S,G,ETA[,THICKNESS]"},
     CLI_TITLE("Evaluation"),
     CLI_OPTION(NAME, model, CLI_MODEL_DEFAULT, "the model that is fitted; see `dipole info`"),
     CLI_MOMENTS_OPTION,
@@ -74,9 +80,46 @@ typedef struct report {
   uint64_t *lines;       /* [count] line numbers in the file, from 1 on */
   dipole_fitted *fitted; /* [sample_count] */
   g_change *changes;     /* [sample_count] */
-  double *residuals;     /* [count]; NAN where nothing was fitted */
+  dipole_medium layers[CORE_LAYERS_MAX];
+  unsigned unknowns;          /* sum of enum dipole_unknown; 0: half spaces are fitted */
+  dipole_layers_fit **stacks; /* [sample_count]; NULL where a sample is refused */
+  double *residuals;          /* [count]; NAN where nothing was fitted */
   unsigned notes;
 } report;
+
+/* Reads a layer, and adds what is sought of it. */
+static bool read_layer(const char *text, size_t index, report *of) {
+  static const char members[] = {0, 1, -1, -1, 2};
+  char *known = cli_copy(text, strlen(text));
+  size_t cell = 0;
+  for (char *at = known; *at != 0; at++) {
+    cell += *at == ',';
+    if (*at == 'x' && index < 2 && cell < sizeof members && members[cell] >= 0) {
+      of->unknowns |= 1U << (3 * index + (size_t)members[cell]);
+      *at = '1';
+    }
+  }
+  return cli_layer_read(known, &of->layers[index]);
+}
+
+/* Reads the layers of the options. */
+static int take_layers(const cli_settings *settings, report *of) {
+  const size_t count = settings->layer.count;
+  if (count > CORE_LAYERS_MAX) {
+    return cli_fail_usage("--layer: %zu layers: give at most %d", count, CORE_LAYERS_MAX);
+  }
+  for (size_t i = 0; i < count; i++) {
+    if (!read_layer(settings->layer.items[i], i, of)) {
+      return cli_fail_usage("--layer %s: give SIGMA_A,SIGMA_S,G,ETA[,THICKNESS], of the two upper "
+                            "layers x for SIGMA_A, SIGMA_S or THICKNESS if that is sought",
+                            settings->layer.items[i]);
+    }
+  }
+  return count == 0 || of->unknowns != 0
+             ? CLI_OK
+             : cli_fail_usage(
+                   "--layer: give x for what is sought, as in --layer x,20,0.8,1.4,0.06");
+}
 
 static int check(cli_settings *settings) {
   const size_t numbers = settings->reference.count;
@@ -88,6 +131,13 @@ static int check(cli_settings *settings) {
   }
   if (settings->scale != NULL && strcmp(settings->scale, "reference") == 0) {
     return cli_fail_usage("--scale reference: give --reference A,S,G,ETA in its place");
+  }
+  if (settings->layer.count > 0 &&
+      (numbers != 0 || settings->g.count + settings->eta.count + settings->thickness.count > 0 ||
+       settings->plot.count > 0 || settings->moments != NULL)) {
+    return cli_fail_usage(
+        "--layer gives a layer whole, and is fitted by transport: leave --g, --eta, "
+        "--thickness, --moments, --reference and --plot out");
   }
   return cli_picture_check(&settings->plot, settings);
 }
@@ -361,7 +411,8 @@ static bool request_side(dipole_client *client, report *of, const batch *some,
 /* Returns whether a refusal is about one reading. */
 static bool is_of_reading(const dipole_error *error) {
   return strcmp(error->field, "at") == 0 || strcmp(error->field, "source") == 0 ||
-         strcmp(error->field, "detector") == 0;
+         strcmp(error->field, "detector") == 0 || strcmp(error->field, "values") == 0 ||
+         strcmp(error->field, "errors") == 0;
 }
 
 /* Returns whether a refusal is about what the file says of a sample, and not about an option. */
@@ -610,11 +661,116 @@ static void refuse_all(report *of) {
   }
 }
 
+/* ---- layers -------------------------------------------------------------------------------- */
+
+/* Returns an exit status: fits of layers take readings of R and nothing else. */
+static int check_readings(const report *of) {
+  bool more = of->frequency || of->profile.parameters.count > 0 ||
+              strcmp(of->profile.model->name, CLI_MODEL_DEFAULT) != 0;
+  for (size_t i = 0; i < of->sample_count; i++) {
+    for (size_t k = 0; k < OF_SAMPLE; k++) {
+      more = more || !isnan(of->samples[i].of_sample[k]);
+    }
+  }
+  for (size_t i = 0; i < of->count; i++) {
+    more = more || of->source_mm[i] > 0 || of->detector_mm[i] > 0;
+  }
+  return more ? cli_fail_usage("--layer: layers are fitted by transport to the columns r, R and "
+                               "error, without parameters")
+              : CLI_OK;
+}
+
+static bool request_layers(dipole_client *client, report *of, dipole_error *error) {
+  cli_progress progress;
+  bool good = true;
+  of->stacks = cli_allocate(of->sample_count, sizeof(dipole_layers_fit *));
+  cli_progress_start(&progress, "samples");
+  for (size_t i = 0; good && i < of->sample_count; i++) {
+    const fit_sample *one = &of->samples[i];
+    const dipole_layers_query query = {.layers = of->layers,
+                                       .layer_count = (uint32_t)of->settings->layer.count,
+                                       .unknowns = of->unknowns,
+                                       .scale = of->scale->id,
+                                       .reading_count = one->count,
+                                       .at = of->at + one->first,
+                                       .values = of->values + one->first,
+                                       .errors = of->errors + one->first,
+                                       .deadline_ms = (unsigned)of->settings->deadline_ms.value};
+    good = CLI_RETRY(of->settings, error, dipole_fit_layers(client, &query, &of->stacks[i], error));
+    if (good) {
+      of->fitted[i].status = (uint16_t)of->stacks[i]->status;
+    } else if (is_of_file(one, error)) {
+      report_refused(of, one, 1, error);
+      good = true;
+    }
+    const double done = (double)(i + 1);
+    cli_progress_show(&progress, done / (double)of->sample_count, done);
+  }
+  cli_progress_wipe(&progress);
+  return good;
+}
+
+/* Writes an estimate: the samples one after the other, with their unknowns. */
+static void put_estimate(cli_rows *rows, const void *context, size_t index) {
+  const report *of = context;
+  const size_t each = (size_t)__builtin_popcount(of->unknowns), sample = index / each;
+  const dipole_layers_fit *fit = of->stacks[sample];
+  unsigned bits = of->unknowns;
+  for (size_t i = 0; i < index % each; i++) {
+    bits &= bits - 1;
+  }
+  const double none = (double)NAN;
+  const dipole_estimate refused = {
+      .status = DIPOLE_FIT_REFUSED, .value = none, .error = (double)INFINITY};
+  const dipole_estimate *one = fit != NULL ? &fit->estimates[index % each] : &refused;
+  const dipole_fitted state = {.status = one->status};
+  const dipole_choice *name =
+      cli_choice_of_id(of->profile.info, DIPOLE_UNKNOWN, bits & (~bits + 1));
+  const unsigned with_factor = is_free(of) ? 0U : CLI_IN_CSV | CLI_IN_JSON;
+  cli_put_text(rows, of->samples[sample].name, "sample");
+  cli_put_text(rows, name != NULL ? name->name : "unknown", "unknown");
+  cli_put_number(rows, one->value, "value", .unit = "1/mm, mm", .format = "%.5g", .missing = "-");
+  cli_put_number(rows, one->error, "error", .unit = "1/mm, mm", .format = "%.2g");
+  cli_put_text(rows, status_of(of, &state), "status");
+  cli_put_number(rows, fit != NULL ? fit->factor : none, "scale", .missing = "-",
+                 .forms = with_factor);
+  cli_put_number(rows, fit != NULL ? fit->factor_error : none, "scale_error", "its error",
+                 .format = "%.2g", .missing = "-", .forms = with_factor);
+  cli_put_number(rows, fit != NULL ? fit->chi_squared : none, "chi2", .format = "%.4g",
+                 .missing = "-");
+  cli_put_count(rows, of->samples[sample].count, "readings");
+  cli_put_number(rows, fit != NULL ? fit->numerical_error : none, "numerical_error",
+                 "numerical error", .format = "%.1e", .missing = "-");
+  cli_put_text(rows, status_of(of, &of->fitted[sample]), "sample_status", "sample is");
+}
+
+static void write_layers_foot(const void *context) {
+  (void)context;
+  puts("\nerrors are standard errors, inf where a value is not fitted; chi2 is the sum of the "
+       "squares of (reading - fit) / error");
+}
+
+/* ---- running ------------------------------------------------------------------------------- */
+
 static int run_fit(const cli_settings *settings, dipole_client *client) {
   report of = {.settings = settings};
   dipole_error error;
-  int status = read_samples(&of);
+  int status = take_layers(settings, &of);
+  status = status == CLI_OK ? read_samples(&of) : status;
   status = status == CLI_OK ? choose(settings, client, &of) : status;
+  if (status == CLI_OK && of.unknowns != 0 && (status = check_readings(&of)) == CLI_OK) {
+    refuse_all(&of);
+    if (!request_layers(client, &of, &error)) {
+      return cli_fail_error(&error);
+    }
+    const cli_report output = {.facts = put_facts,
+                               .rows = of.sample_count * (size_t)__builtin_popcount(of.unknowns),
+                               .put_row = put_estimate,
+                               .left = 2,
+                               .foot = write_layers_foot};
+    cli_write(&output, settings->form, &of);
+    return judge(&of);
+  }
   status = status == CLI_OK ? complete_samples(&of) : status;
   if (status != CLI_OK) {
     return status;
@@ -661,7 +817,9 @@ const cli_command cli_command_fit = {
         "less than once in a million times. The model error (in tables and JSON) is that of R "
         "against radiative transport, at the distances of a sample and between them. With "
         "--detector-na it contains that of the share that is detected. It is not part of the "
-        "standard errors.",
+        "standard errors.\n"
+        "With --layer the file has r, R, error and sample alone, and a row of output is one "
+        "unknown: sample_status is that of its sample.",
     .formats = "table,csv,json",
     .options = {options},
     .parameters = CLI_OF_INVERTED | CLI_PARAMETER_BIT(DETECTOR_NA),
@@ -671,6 +829,7 @@ const cli_command cli_command_fit = {
         "  dipole fit readings.csv --eta 1.4\n"
         "  dipole fit readings.csv --model better --eta 1.4 --scale free --format csv > found.csv\n"
         "  dipole fit readings.csv --g 0.8 --eta 1.4 --plot fit.svg\n"
+        "  dipole fit readings.csv --layer x,20,0.8,1.4,0.06 --layer x,15,0.8,1.4\n"
         "  printf 'r,R,error\\n1,.0234,.0005\\n2,.00787,.0002\\n4,.00159,.00003\\n' |\n"
         "    dipole fit --model better --eta 1.4\n",
 };

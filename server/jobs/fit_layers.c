@@ -115,7 +115,7 @@ static enum job_outcome step_layers(struct job *job, uint64_t *budget) {
                                 .content_bytes = bytes,
                                 .hash = cache_hash(0, layers->payload, bytes)};
   const enum lookup_state state =
-      lookup_get(&job->context->profiles.lookups, &layers->lookup, &key, true, true);
+      lookup_get(&job->context->profiles.lookups, &layers->lookup, &key, CACHE_SOLVED, true);
   *budget -= *budget < JOB_STEP_RADII ? *budget : JOB_STEP_RADII;
   if (state != LOOKUP_READY) {
     return job_follow(job, state, &layers->lookup.fault, layers->lookup.fault.index);

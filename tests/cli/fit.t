@@ -103,6 +103,48 @@ by g: the largest change for g +- .05, since the readings may not determine g
 ! dipole fit: standard input: 1 of 1 samples were not fitted: see the column status
 ? 3
 
+## Layers: what is found, what is undetermined, and what is refused.
+$ printf 'sample,r,R,error\ntwo,.3,.06261,.00062\ntwo,.5,.02737,.00028\ntwo,.8,.01292,.00013\ntwo,2,.002481,2.5e-5\ntwo,5,.000252,2.5e-6\nfew,1,.02,.001\nzero,1,.02,.001\nzero,2,.02,0\n' > two.csv; dipole fit two.csv --layer x,1,0,1.4,0.8 --layer x,1,0,1.4
+model transport, moments exact, scale absolute
+
+sample  unknown       value     error   status   chi2  readings  numerical error  sample is
+                   1/mm, mm  1/mm, mm
+------  ---------  --------  --------  -------  -----  --------  ---------------  ---------
+two     sigma_a_1    0.3017    0.0032   fitted  1.019         5          2.0e-03     fitted
+two     sigma_a_2  0.019379   0.00092   fitted  1.019         5          2.0e-03     fitted
+few     sigma_a_1         -       inf  refused      -         1                -    refused
+few     sigma_a_2         -       inf  refused      -         1                -    refused
+zero    sigma_a_1         -       inf  refused      -         2                -    refused
+zero    sigma_a_2         -       inf  refused      -         2                -    refused
+
+errors are standard errors, inf where a value is not fitted; chi2 is the sum of the squares of (reading - fit) / error
+! dipole fit: sample few: bad-value: reading_count: allowed: as many as there are unknowns, to 1024
+! dipole fit: sample zero: reading 2 (line 9): bad-value: errors: allowed: above 0, and finite
+! dipole fit: two.csv: 2 of 3 samples were not fitted: see the column status
+? 3
+
+$ printf 'r,R,error\n.2,.12,.01\n.3,.0626,.002\n' | dipole fit --layer x,1,0,1.4,0.8 --layer x,1,0,1.4 --format csv
+sample,unknown,value,error,status,scale,scale_error,chi2,readings,numerical_error,sample_status
+1,sigma_a_1,0.235823276104923,0.10793056783121835,fitted,1,0,0.010692805376751017,2,0.0012082315263864977,undetermined
+1,sigma_a_2,,inf,undetermined,1,0,0.010692805376751017,2,0.0012082315263864977,undetermined
+! dipole fit: standard input: 1 of 1 samples were not fitted: see the column status
+? 3
+
+$ for layer in 1,1,0,1.4 x,1,0,x x,1,0,1.4,1,1; do dipole fit two.csv --layer $layer; done; dipole fit two.csv --layer x,1,0,1.4 --eta 1.4; dipole fit two.csv --layer x,1,0,1.4 --model better; printf 'r,R,error,g\n1,.01,.001,0\n' | dipole fit --layer x,1,0,1.4
+! dipole fit: --layer: give x for what is sought, as in --layer x,20,0.8,1.4,0.06
+! `dipole fit --help` says more.
+! dipole fit: --layer x,1,0,x: give SIGMA_A,SIGMA_S,G,ETA[,THICKNESS], of the two upper layers x for SIGMA_A, SIGMA_S or THICKNESS if that is sought
+! `dipole fit --help` says more.
+! dipole fit: --layer x,1,0,1.4,1,1: give SIGMA_A,SIGMA_S,G,ETA[,THICKNESS], of the two upper layers x for SIGMA_A, SIGMA_S or THICKNESS if that is sought
+! `dipole fit --help` says more.
+! dipole fit: --layer gives a layer whole, and is fitted by transport: leave --g, --eta, --thickness, --moments, --reference and --plot out
+! `dipole fit --help` says more.
+! dipole fit: --layer: layers are fitted by transport to the columns r, R and error, without parameters
+! `dipole fit --help` says more.
+! dipole fit: --layer: layers are fitted by transport to the columns r, R and error, without parameters
+! `dipole fit --help` says more.
+? 2
+
 ## Statuses.
 $ printf 'sample,r,R,error\nfew,1,.02,.001\nzero,1,.02,0\nzero,2,.01,.001\nblank,1,.02,\nblank,2,.01,.001\norigin,0,.02,.001\norigin,2,.01,.001\nrising,1,.01,.0001\nrising,2,.02,.0001\nrising,4,.03,.0001\n' | dipole fit --model better --eta 1.4
 model better, moments exact, scale absolute

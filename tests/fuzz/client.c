@@ -417,6 +417,21 @@ static bool ask(dipole_client *client, unsigned type, unsigned how, dipole_error
     }
     return good;
   }
+  case WIRE_TYPE_FIT_LAYERS: {
+    dipole_layers_fit *fit;
+    const dipole_layers_query layers = {.layers = media,
+                                        .layer_count = 1,
+                                        .unknowns = DIPOLE_SIGMA_A_1 | DIPOLE_SIGMA_S_1,
+                                        .scale = DIPOLE_ABSOLUTE,
+                                        .reading_count = 2,
+                                        .at = radii,
+                                        .values = albedos,
+                                        .errors = albedos};
+    if ((good = dipole_fit_layers(client, &layers, &fit, error))) {
+      dipole_layers_fit_free(fit);
+    }
+    return good;
+  }
   case WIRE_TYPE_VARYING: {
     dipole_varying_result *result;
     const dipole_varying_query varying = {.model = CORE_MODEL_BETTER,
