@@ -2,6 +2,7 @@
 # run-units.sh FOLDER PROGRAM...: runs each test program, as many at a time as this machine has
 # processors. What a program prints goes into a log of its own in FOLDER. Shows the log of each
 # program that fails, and always those of the accuracy tests, whose tables of errors are a result.
+# A program may take UNIT_LIMIT_S seconds of a processor, and five times as long beside other work.
 # Exits 1 when a program has failed, after all have run.
 set -u
 limit_s=${UNIT_LIMIT_S:-600}
@@ -10,13 +11,14 @@ if [ "$1" = --one ]; then
   name=$(basename "$(dirname "$3")")/$(basename "$3")
   log=$2/${name/\//-}.log
   start_ns=$(date +%s%N)
-  timeout "$limit_s" "$3" >"$log" 2>&1 </dev/null
+  (ulimit -t "$limit_s" && exec timeout "$((5 * limit_s))" "$3") >"$log" 2>&1 </dev/null
   status=$?
   tenths=$((($(date +%s%N) - start_ns) / 100000000))
   {
     case $status in
     0) printf 'passed  %s %d.%d s\n' "$name" $((tenths / 10)) $((tenths % 10)) ;;
-    124) echo "FAILED  $name: not done after $limit_s s" ;;
+    124) echo "FAILED  $name: not done after $((5 * limit_s)) s" ;;
+    137 | 152) echo "FAILED  $name: not done after $limit_s s of a processor" ;;
     *) echo "FAILED  $name: exit status $status" ;;
     esac
     case $status:$name in
