@@ -344,7 +344,7 @@ typedef struct core_profile {
   double
       derivative_errors[CORE_MODEL_ERROR_BANDS + 1]; /* further error in each band; the last is 0 */
   core_reach reach;
-  double T_error; /* the same of T, relative, 0 where T is 0 */
+  double T_errors[CORE_MODEL_ERROR_BANDS + 1]; /* of T, as numerical_errors; 0 where T is 0 */
   core_reach T_reach;
   unsigned notes;         /* bits of enum core_note */
   core_radii_range radii; /* the profile may be evaluated from least to most */

@@ -166,7 +166,7 @@ typedef struct core_preparation {
   double cost;                        /* see core_profile */
   double scale_mm;                    /* see core_profile */
   core_reach reach;                   /* see core_profile */
-  double T_error;                     /* as `added`, of T */
+  core_added_errors T_added;          /* as `added`, of T; 0 where T is 0 */
   core_reach T_reach;                 /* see core_profile */
   unsigned notes;                     /* bits of enum core_note */
 } core_preparation;

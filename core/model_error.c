@@ -181,10 +181,12 @@ core_stated_errors core_profile_errors(const core_profile *profile, unsigned wan
   const double of_others = fmax(numerical, slope) + core_error_beyond(profile->reach, most_mm) +
                            ((wanted & CORE_QUANTITY_S) != 0 ? CORE_S_ERROR : 0) +
                            ((wanted & CORE_QUANTITY_TRANSFER) != 0 ? CORE_TRANSFER_ERROR : 0);
-  const bool has_T =
-      (wanted & CORE_QUANTITY_T) != 0 && profile->T_error > 0 && radii.least_mm <= radii.most_mm;
+  const bool has_T = (wanted & CORE_QUANTITY_T) != 0 && profile->T_errors[0] > 0 &&
+                     radii.least_mm <= radii.most_mm;
   const double of_T =
-      has_T ? profile->T_error + core_error_beyond(profile->T_reach, radii.most_mm) : 0;
+      has_T ? core_banded_error(profile->T_errors, 0, &profile->medium, CORE_QUANTITY_R, radii) +
+                  core_error_beyond(profile->T_reach, radii.most_mm)
+            : 0;
   if (is_too_near(profile, has_T ? wanted | CORE_QUANTITY_R : wanted, radii.least_mm)) {
     return (core_stated_errors){.numerical = (double)INFINITY};
   }

@@ -311,9 +311,10 @@ static core_fault prepare_model(core_profile *profile, const struct model *model
   }
   profile->numerical_error_per_mm = preparation.error_epsilons_per_mm * epsilon;
   profile->reach = preparation.reach;
-  profile->T_error = preparation.T_error > 0
-                         ? preparation.T_error + profile->numerical_error - preparation.added.all
-                         : 0;
+  for (size_t i = 0; preparation.T_added.all > 0 && i <= CORE_MODEL_ERROR_BANDS; i++) {
+    profile->T_errors[i] =
+        preparation.T_added.banded[i] + profile->numerical_error - preparation.added.all;
+  }
   profile->T_reach = preparation.T_reach;
   profile->notes = preparation.notes;
   note_albedo(profile,
@@ -467,7 +468,9 @@ static core_fault prepare_table(core_profile *profile, const struct model *model
   profile->kernels = core_isa_lut_kernels(inputs.isa);
   profile->albedo = source->albedo;
   profile->reach = source->reach;
-  profile->T_error = source->T_error > 0 ? source->T_error + (double)FLT_EPSILON : 0;
+  for (size_t i = 0; i <= CORE_MODEL_ERROR_BANDS; i++) {
+    profile->T_errors[i] = source->T_errors[i] > 0 ? source->T_errors[i] + (double)FLT_EPSILON : 0;
+  }
   profile->T_reach = source->T_reach;
   profile->notes = source->notes;
   profile->cost = 1;

@@ -1098,7 +1098,7 @@ static double kappa_at(const struct source *source, double end) {
 /* A solution of layers loses its digits far away. It is used up to the largest radius where its
  * relative error is at most DIGITS_LEFT, which is no smaller than the end by MUCH_NEARER. Beyond, R is
  * not known: the error grows to infinity within 8 % of the radius. */
-#define DIGITS_LEFT 0.05
+#define DIGITS_LEFT 0.0625
 #define MUCH_NEARER 6.0 /* in ln x */
 #define LOST_GROWTH 1000.0
 
@@ -1196,7 +1196,10 @@ static core_fault add_below(const core_inputs *inputs, const solver_layers *laye
   core_preparation below = {0};
   const core_fault fault = prepare_side(inputs, layers, 1, total, tolerance, &below);
   if (fault.field != NULL) {
-    preparation->T_error = (double)INFINITY;
+    for (size_t i = 0; i <= CORE_MODEL_ERROR_BANDS; i++) {
+      preparation->T_added.banded[i] = (double)INFINITY;
+    }
+    set_all(&preparation->T_added);
     return strcmp(fault.field, CORE_FIELD_MEMORY) == 0 ? fault : (core_fault){0};
   }
   const size_t bytes = preparation->table_bytes + below.table_bytes;
@@ -1208,9 +1211,7 @@ static core_fault add_below(const core_inputs *inputs, const solver_layers *laye
     preparation->table_bytes = bytes;
   }
   free(below.table);
-  for (size_t i = 0; i < CORE_MODEL_ERROR_BANDS; i++) {
-    preparation->T_error = fmax(preparation->T_error, below.added.banded[i]);
-  }
+  preparation->T_added = below.added;
   preparation->T_reach = below.reach;
   return c != NULL ? (core_fault){0} : CORE_OUT_OF_MEMORY;
 }
