@@ -300,10 +300,9 @@ static core_fault prepare_model(core_profile *profile, const struct model *model
   const bool wide = profile->kernels->f32->evaluate[0] == NULL;
   const double epsilon = single && !wide ? (double)FLT_EPSILON : DBL_EPSILON;
   profile->albedo = preparation.albedo;
-  set_numerical_errors(profile,
-                       preparation.error + preparation.error_epsilons * epsilon +
-                           (single && wide ? (double)FLT_EPSILON : 0),
-                       &preparation.added);
+  const double error = preparation.error + preparation.error_epsilons * epsilon +
+                       (single && wide ? (double)FLT_EPSILON : 0);
+  set_numerical_errors(profile, error, &preparation.added);
   if (preparation.slope_epsilons > 0) {
     profile->slope_error = profile->numerical_error + preparation.slope_epsilons * epsilon;
   } else {
@@ -312,8 +311,7 @@ static core_fault prepare_model(core_profile *profile, const struct model *model
   profile->numerical_error_per_mm = preparation.error_epsilons_per_mm * epsilon;
   profile->reach = preparation.reach;
   for (size_t i = 0; preparation.T_added.all > 0 && i <= CORE_MODEL_ERROR_BANDS; i++) {
-    profile->T_errors[i] =
-        preparation.T_added.banded[i] + profile->numerical_error - preparation.added.all;
+    profile->T_errors[i] = error + preparation.T_added.banded[i];
   }
   profile->T_reach = preparation.T_reach;
   profile->notes = preparation.notes;
