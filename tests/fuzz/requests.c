@@ -44,6 +44,15 @@ static bool names_slow_profile(unsigned type, const uint8_t *payload, size_t siz
          core_prepares_slowly(eval.fixed.model, eval.fixed.evaluator, NULL, NULL);
 }
 
+/* Returns whether the message's fields and lengths allow a fit of layers to begin. */
+static bool may_fit_layers(const uint8_t *payload, size_t size) {
+  schema_layout layout;
+  uint8_t *copy = fuzz_copy(payload, size);
+  const wire_error error = schema_check(&schema_fit_layers_request, copy, size, &layout);
+  free(copy);
+  return error.status == WIRE_STATUS_OK;
+}
+
 /* The number of answers to a stream: one for each whole frame, each refused header, and an
  * incomplete frame at the end. After a wrong magic number, detached requests may end without an
  * answer. */
@@ -72,7 +81,8 @@ static struct expected expect_answers(const uint8_t *at, size_t left) {
     }
     count += good;
     jobs += good && (header.type == WIRE_TYPE_MC || header.type == WIRE_TYPE_GATHER);
-    fits_layers |= good && header.type == WIRE_TYPE_FIT_LAYERS;
+    fits_layers |=
+        good && header.type == WIRE_TYPE_FIT_LAYERS && may_fit_layers(at, header.payload_bytes);
     slow |= good && names_slow_profile(header.type, at, header.payload_bytes);
     at += header.payload_bytes;
     left -= header.payload_bytes;
