@@ -64,12 +64,13 @@ def test_instances_differ_from_the_one_daemon_in_their_places_alone(units):
     assert settings[1] - settings[0] == {
         "Description=Subsurface-scattering profiles for clients, instance %i",
         "After=network.target",
-        "Environment=DIPOLED_LISTEN=unix:%t/dipoled-%i/dipoled.sock DIPOLED_SOCKET_MODE=0660",
+        "Environment=DIPOLED_LISTEN=unix:%t/dipoled-%i/dipoled.sock",
         "EnvironmentFile=-/etc/default/dipoled-%i",
         "Group=dipole",
         "RuntimeDirectory=dipoled-%i",
+        "UMask=0117",  # the group may connect
     }
     assert {line.split("=")[0] for line in settings[0] - settings[1]} == {
-        "Description", "Requires", "After", "EnvironmentFile", "RuntimeDirectory", "Also",
+        "Description", "Requires", "After", "EnvironmentFile", "RuntimeDirectory", "UMask", "Also",
     }  # fmt: skip
     assert not any("#@" in line or "#!" in line for line in one + instance)
