@@ -61,7 +61,7 @@ MODELS := $(patsubst core/models/%.c,%,$(shell grep -l CORE_KERNEL_TABLE core/mo
 LOOPS := core/fit/loops core/gather/loops core/montecarlo/walk core/solver/dense_product
 KERNELS := $(foreach isa,$(ISAS),$(foreach real,32 64,$(MODELS:%=$(OBJ)/core/models/%.$(isa).f$(real).o)) $(LOOPS:%=$(OBJ)/%.$(isa).o))
 
-CORE_FOLDERS := core $(addprefix core/,models montecarlo transport solver lut cells fit gather varying)
+CORE_FOLDERS := core $(addprefix core/,models montecarlo transport solver lut cells fit gather tissue varying)
 CORE := $(call objects,$(filter-out $(LOOPS:%=%.c),$(wildcard $(CORE_FOLDERS:%=%/*.c)))) $(KERNELS)
 PROTO := $(call objects,$(wildcard proto/*.c))
 SERVER := $(call objects,$(wildcard server/*.c server/*/*.c))
