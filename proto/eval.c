@@ -63,7 +63,7 @@ bool eval_reply_layout(unsigned evaluator, unsigned wanted, uint32_t channel_cou
   enum { ALBEDOS, ERRORS, RADII, ARRAYS };
   const wire_eval_reply fixed = {.count = radius_count,
                                  .evaluator = (uint16_t)evaluator,
-                                 .wanted = (uint16_t)wanted,
+                                 .wanted = wanted & ~EVAL_DRAWN,
                                  .channel_count = channel_count};
   schema_layout all;
   if (!schema_lay_out(payload_of(wanted), &fixed, max_payload_bytes, &all, NULL)) {
@@ -84,8 +84,9 @@ bool eval_reply_layout(unsigned evaluator, unsigned wanted, uint32_t channel_cou
 
 uint64_t eval_part_radii(unsigned evaluator, unsigned wanted, uint32_t channel_count,
                          uint64_t max_payload_bytes) {
-  const wire_eval_reply fixed = {
-      .evaluator = (uint16_t)evaluator, .wanted = (uint16_t)wanted, .channel_count = channel_count};
+  const wire_eval_reply fixed = {.evaluator = (uint16_t)evaluator,
+                                 .wanted = wanted & ~EVAL_DRAWN,
+                                 .channel_count = channel_count};
   return schema_part_values(payload_of(wanted), &fixed, EVAL_PART_RADII, max_payload_bytes);
 }
 

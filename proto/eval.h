@@ -33,7 +33,7 @@ wire_error sample_request_parse(const uint8_t *payload, size_t payload_bytes, co
 
 /* Flag added to `wanted` for a sample: each channel has its own array of drawn
  * radii. The wire does not carry it. */
-#define EVAL_DRAWN 0x10000u
+#define EVAL_DRAWN 0x80000000u
 
 /* Layout of a reply's payload. Offsets count from its start. */
 typedef struct eval_layout {

@@ -77,7 +77,7 @@ varying_layout varying_reply_layout(unsigned evaluator, unsigned wanted, unsigne
                                     uint64_t count) {
   const wire_varying_reply fixed = {.count = count,
                                     .evaluator = (uint16_t)evaluator,
-                                    .wanted = (uint16_t)wanted,
+                                    .wanted = wanted,
                                     .coefficients = (uint16_t)coefficients};
   schema_layout all;
   schema_lay_out(&schema_varying_reply, &fixed, UINT64_MAX, &all, NULL);

@@ -209,7 +209,7 @@ wire_choice wire_choice_at(size_t index) {
     list++;
   }
   const core_choice *entry = &choice_lists[list].list[index];
-  wire_choice choice = {.kind = (uint16_t)choice_lists[list].kind, .id = (uint16_t)entry->id};
+  wire_choice choice = {.kind = (uint32_t)choice_lists[list].kind, .id = (uint32_t)entry->id};
   WIRE_SET_TEXT(choice.name, entry->name);
   WIRE_SET_TEXT(choice.about, entry->about);
   return choice;

@@ -116,8 +116,8 @@ static bool send_query(dipole_client *client, const dipole_query *query, libdipo
                        dipole_error *error) {
   const bool list = query->spacing == DIPOLE_LIST;
   if (!libdipole_query_check(query->model == DIPOLE_ANY_MODEL ? 1 : query->model,
-                             query->evaluator | query->moments | query->wanted | query->spacing,
-                             query->parameters, query->parameter_count, error) ||
+                             query->evaluator | query->moments | query->spacing, query->parameters,
+                             query->parameter_count, error) ||
       !check_lists(query->media, query->medium_count, query->evaluator, query->radii,
                    list ? query->radius_count : 0, error)) {
     return false;
@@ -129,11 +129,11 @@ static bool send_query(dipole_client *client, const dipole_query *query, libdipo
   const wire_eval_request fixed = {.model = (uint16_t)model_on_wire(query->model),
                                    .evaluator = (uint16_t)query->evaluator,
                                    .moments = (uint16_t)query->moments,
-                                   .wanted = (uint16_t)query->wanted,
+                                   .wanted = query->wanted,
                                    .medium_count = query->medium_count,
                                    .layer_count = pending->layer_count,
                                    .spacing = (uint16_t)query->spacing,
-                                   .parameter_count = (uint16_t)query->parameter_count,
+                                   .parameter_count = (uint32_t)query->parameter_count,
                                    .radius_count = query->radius_count,
                                    .radius_start = list ? 0 : query->radius_start_mm,
                                    .radius_stop = list ? 0 : query->radius_stop_mm};
@@ -317,8 +317,7 @@ bool dipole_offers(dipole_client *client, const dipole_query *query, dipole_offe
 
 static bool send_sample(dipole_client *client, const dipole_sample_query *query,
                         libdipole_pending *pending, dipole_error *error) {
-  if (!libdipole_query_check(query->model,
-                             query->evaluator | query->moments | query->wanted | query->draw,
+  if (!libdipole_query_check(query->model, query->evaluator | query->moments | query->draw,
                              query->parameters, query->parameter_count, error) ||
       !check_lists(query->media, query->medium_count, query->evaluator, query->numbers,
                    query->draw == DIPOLE_DRAW_LIST ? query->sample_count : 0, error)) {
@@ -330,11 +329,11 @@ static bool send_sample(dipole_client *client, const dipole_sample_query *query,
   const wire_sample_request fixed = {.model = (uint16_t)query->model,
                                      .evaluator = (uint16_t)query->evaluator,
                                      .moments = (uint16_t)query->moments,
-                                     .wanted = (uint16_t)query->wanted,
+                                     .wanted = query->wanted,
                                      .medium_count = query->medium_count,
                                      .layer_count = pending->layer_count,
                                      .draw = (uint16_t)query->draw,
-                                     .parameter_count = (uint16_t)query->parameter_count,
+                                     .parameter_count = (uint32_t)query->parameter_count,
                                      .sample_count = query->sample_count,
                                      .sample_first = query->sample_first,
                                      .seed = query->seed};

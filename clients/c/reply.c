@@ -18,7 +18,7 @@ void libdipole_reply_expect(libdipole_pending *pending, unsigned model, unsigned
   eval_layout layout;
   pending->model = model;
   pending->evaluator = (uint16_t)evaluator;
-  pending->wanted = (uint16_t)wanted;
+  pending->wanted = wanted;
   pending->medium_count = medium_count;
   pending->radius_count = radius_count;
   pending->reply_bytes_min = UINT64_MAX;

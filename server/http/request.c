@@ -233,7 +233,7 @@ static wire_error read_entry(const json_t *value, const char *field, const core_
   const char *name = json_string_value(value);
   const core_choice *entry = name != NULL ? core_choice_by_name(list, name) : NULL;
   if (entry == NULL) {
-    const wire_error error = parse_count(value, field, UINT16_MAX, id);
+    const wire_error error = parse_count(value, field, UINT32_MAX, id);
     entry = error.status == WIRE_STATUS_OK ? core_choice_by_id(list, (unsigned)*id) : NULL;
   }
   if (entry == NULL) {

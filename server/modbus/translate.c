@@ -108,7 +108,7 @@ static void keep_walks(core_parameters *parameters) {
 
 /* Sets the fields of a request that have no registers, or that do not count. */
 static void complete(enum registers_job_kind kind, core_parameters *parameters, void *request) {
-  const uint16_t parameter_count = (uint16_t)schema_count_parameters(parameters);
+  const uint32_t parameter_count = schema_count_parameters(parameters);
   wire_eval_request *eval = request;
   wire_sample_request *sample = request;
   fit_start *fit = request;

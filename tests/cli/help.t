@@ -424,7 +424,7 @@ $ dipole plot --format csv
 ! `dipole plot --help` says more.
 ? 2
 
-$ cp "$(command -v dipole)" . && mkdir dipoled && ./dipole info | head -n 1 && rmdir dipoled && rm dipole
+$ cp "$(command -v dipole)" . && mkdir dipoled && ./dipole info --connect private: | head -n 1 && rmdir dipoled && rm dipole
 section         name                                value
 
 $ dipole media --connect private:/nonexistent

@@ -22,16 +22,15 @@ header: u32 magic, u16 version, u16 type, u64 request_id, u32 payload_bytes, u32
 hello_request: u16 version_min, u16 version_max, u32 zero
 hello_reply: u16 version, u16 version_min, u16 version_max, u16 workers, u32 choice_count,
     u32 limit_count, text software[32], text instruction_set[16], text R_unit[48]
-choice: u16 kind, u16 id, text name[28], text about[96]
+choice: u32 kind, u32 id, text name[32], text about[96]
 value: text name[40], u64 value
-eval_request: u16 model, u16 evaluator, u16 moments, u16 wanted, u32 medium_count, u16 spacing,
-    u16 parameter_count, u64 radius_count, f64 radius_start, f64 radius_stop, u32 layer_count,
-    u32 zero
+eval_request: u16 model, u16 evaluator, u16 moments, u16 spacing, u32 wanted, u32 medium_count,
+    u64 radius_count, f64 radius_start, f64 radius_stop, u32 layer_count, u32 parameter_count
 medium: f64 sigma_a, f64 sigma_s, f64 g, f64 eta, f64 thickness
 parameter: u16 parameter, u16 zero, u32 zero_too, f64 value
 part: u32 part, u32 part_count, u64 first, u64 count
 eval_reply: u32 part, u32 part_count, u64 first, u64 count, u16 model, u16 evaluator, u16 moments,
-    u16 wanted, u32 channel_count, u32 notes
+    u16 notes, u32 wanted, u32 channel_count
 quantity_error: f64 numerical_error, f64 numerical_error_per_mm, f64 model_error
 list_reply: u32 count, u32 zero
 measured_medium: text name[16], f64 sigma_a[3], f64 sigma_s[3], f64 g[3], f64 eta[3],
@@ -55,8 +54,8 @@ table_reply: u16 layout, u16 model, u16 moments, u16 parameter_count, u32 word_c
 offers_reply: u32 count, u32 taken
 offer: u16 model, u16 evaluator, u32 meets, f64 error, f64 numerical_error, f64 cost,
     f64 prepare_cost
-sample_request: u16 model, u16 evaluator, u16 moments, u16 wanted, u32 medium_count, u16 draw,
-    u16 parameter_count, u64 sample_count, u64 sample_first, u64 seed, u32 layer_count, u32 zero
+sample_request: u16 model, u16 evaluator, u16 moments, u16 draw, u32 wanted, u32 medium_count,
+    u64 sample_count, u64 sample_first, u64 seed, u32 layer_count, u32 parameter_count
 invert_request: u16 model, u16 moments, u16 given, u16 light, u32 medium_count, u16 specular,
     u16 zero, f64 g, f64 eta
 invert_reply: u32 part, u32 part_count, u64 first, u64 count, u16 model, u16 moments, u16 given,
@@ -71,12 +70,11 @@ fitted: u16 status, u16 bounds, u16 field, u16 zero, u32 index, u32 evaluations,
     f64 variance_a, f64 covariance_a_s, f64 variance_s, f64 covariance_a_factor,
     f64 covariance_s_factor, f64 variance_factor, f64 second_sigma_a, f64 second_sigma_s_prime,
     f64 second_factor, f64 second_chi_squared, f64 model_error
-varying_request: u16 model, u16 evaluator, u16 moments, u16 wanted, u16 coefficients, u16 given,
-    u16 light, u16 specular, u16 numbers, u16 parameter_count, u32 zero, u64 value_count, f64 g,
-    f64 eta
+varying_request: u16 model, u16 evaluator, u16 moments, u16 coefficients, u16 given, u16 light,
+    u16 specular, u16 numbers, u32 wanted, u32 parameter_count, u64 value_count, f64 g, f64 eta
 varying_reply: u32 part, u32 part_count, u64 first, u64 count, u16 model, u16 evaluator,
-    u16 moments, u16 wanted, u16 coefficients, u16 zero, u32 notes, u64 computed_count,
-    f64 numerical_error, f64 model_error, f64 colour_least, f64 colour_most, f64 specular
+    u16 moments, u16 coefficients, u32 wanted, u32 notes, u64 computed_count, f64 numerical_error,
+    f64 model_error, f64 colour_least, f64 colour_most, f64 specular
 points_request: u64 set[2], u32 channel_count, u32 zero, u64 point_count, u64 point_first,
     u64 part_points
 points_reply: u64 set[2], u32 known, u32 zero, u64 point_next
@@ -100,10 +98,10 @@ hello_reply: hello_reply; choice choice[choice_count]; value limit[limit_count]
 eval_request: eval_request; medium medium[layer_count*medium_count];
     parameter parameter[parameter_count]; real r[radius_count] if spacing is 1
 eval_reply: eval_reply; f64 albedo[channel_count];
-    quantity_error errors[channel_count*wanted&65535]; real r[count] if wanted&8 is 1;
+    quantity_error errors[channel_count*wanted&4294967295]; real r[count] if wanted&8 is 1;
     real values[channel_count*wanted&28661][count]
 sample_reply: eval_reply; f64 albedo[channel_count];
-    quantity_error errors[channel_count*wanted&65535];
+    quantity_error errors[channel_count*wanted&4294967295];
     real values[channel_count*wanted&28669][count]
 media_reply: list_reply; measured_medium media[count]
 statistics_reply: list_reply; value value[count]
@@ -135,7 +133,7 @@ varying_request: varying_request; parameter parameter[parameter_count];
     real sigma_s[value_count] if given is 0; real length[value_count] unless given is 0;
     real r[value_count] if numbers is 1; real u[value_count] if numbers is 2
 varying_reply: varying_reply; real coefficients[coefficients&65535][count];
-    real values[wanted&61439][count]; u8 statuses[count]
+    real values[wanted&4294963199][count]; u8 statuses[count]
 points_request: points_request; f64 xyz[part_points*3]; f32 power[channel_count*part_points]
 points_reply: points_reply
 gather_request: gather_request; medium medium[layer_count*medium_count];
