@@ -79,6 +79,8 @@ typedef struct core_fit_design {
   double detector_na;
   unsigned scale;        /* enum core_fit_scale */
   core_medium reference; /* the known medium, if scale is REFERENCE */
+  /* Whether the places serve spectra (core/fit/spectral.h) alone: any count from 1 on. */
+  bool of_spectra;
 } core_fit_design;
 
 /* A design, prepared. It is immutable. */

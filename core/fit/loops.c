@@ -11,8 +11,6 @@ enum {
   BLOCK = 64, /* number of places that are looked up together */
 };
 
-#define LN_2_PI 1.83787706640934548356
-
 /* ---- the table ------------------------------------------------------------------------------- */
 
 /* The stencil of a number among equally spaced nodes: index of the first node to use, Lagrange
@@ -177,7 +175,7 @@ static void look_up(const fit_table *table, double ln_ratio, double ln_scatterin
                     double *by_scattering) {
   const struct medium m = medium_at(table, ln_ratio, ln_scattering);
   const double first =
-      (table->waves ? LN_2_PI - m.ln_sigma_t_prime : m.ln_sigma_t_prime) - table->ln_least;
+      (table->waves ? FIT_LN_2_PI - m.ln_sigma_t_prime : m.ln_sigma_t_prime) - table->ln_least;
   for (size_t i = 0; i < n; i += BLOCK) {
     const size_t some = n - i < BLOCK ? n - i : BLOCK;
     struct places places;

@@ -54,7 +54,8 @@ static const struct choosing careful = {0.1, true, FIT_STARTS_MAX, 1e300};
 #define SAME 1e-3
 
 size_t fit_spare(const core_fit *fit) {
-  return fit->count - (fit->free_factor ? 3 : 2);
+  const size_t unknowns = fit->free_factor ? 3 : 2;
+  return fit->count > unknowns ? fit->count - unknowns : 0;
 }
 
 struct fit_place fit_grid_place(const core_fit *fit, size_t i) {

@@ -5,6 +5,7 @@
 
 #include "core/fit/fit.h"
 #include "core/kernels.h"
+#include "core/model_error.h"
 #include "core/transport/decay.h"
 
 #define CORE_REAL 64
@@ -22,6 +23,18 @@ enum { RATIOS = FIT_TABLE_RATIOS, PLACES = FIT_TABLE_PLACES };
 #define TOLERANCE 1e-8
 
 /* ---- making ---------------------------------------------------------------------------------- */
+
+/* Returns the error of R(f), absolute: the errors of R, of each band of radii, times the light there. */
+static double error_of_waves(const core_profile *profile) {
+  double within[CORE_MODEL_ERROR_BANDS], sum = 0;
+  core_eval_f64(profile, CORE_QUANTITY_CDF, CORE_MODEL_ERROR_BANDS - 1, core_error_edges_mfp + 1,
+                within);
+  within[CORE_MODEL_ERROR_BANDS - 1] = 1;
+  for (size_t i = 0; i < CORE_MODEL_ERROR_BANDS; i++) {
+    sum = fma(profile->numerical_errors[i], within[i] - (i > 0 ? within[i - 1] : 0), sum);
+  }
+  return sum * profile->albedo;
+}
 
 /* Computes row i from the profile of its medium, with sigma_t' = 1 per mm. */
 static core_fault fill_row(fit_table *table, size_t i, const struct fit_table_source *source,
@@ -49,6 +62,15 @@ static core_fault fill_row(fit_table *table, size_t i, const struct fit_table_so
   table->kappa[i] = kappa;
   core_eval_f64(&profile, table->waves ? CORE_QUANTITY_TRANSFER : CORE_QUANTITY_LN_R, PLACES, at,
                 L);
+  const double of_waves = table->waves ? error_of_waves(&profile) : 0;
+  for (size_t k = 0; k < PLACES; k += FIT_TABLE_BAND) {
+    const size_t end = k + FIT_TABLE_BAND < PLACES ? k + FIT_TABLE_BAND : PLACES - 1;
+    const core_radii_range band = {at[k], at[end]};
+    const core_stated_errors stated = core_profile_errors(&profile, CORE_QUANTITY_R, band);
+    table->errors[i][k / FIT_TABLE_BAND] =
+        table->waves ? of_waves / real_max(L[end], 1e-300) + CORE_TRANSFER_ERROR
+                     : fma(stated.numerical_per_mm, band.most_mm, stated.numerical);
+  }
   for (size_t k = 0; k < PLACES; k++) {
     L[k] = table->waves ? real_log(real_max(L[k], 1e-300), 0)
                         : L[k] + real_log(at[k], 0) + kappa * at[k] -
@@ -85,4 +107,17 @@ core_fault fit_table_create(fit_table **made, const struct fit_table_source *sou
   }
   *made = table;
   return fault;
+}
+
+/* Returns the index of the node below, which has one above it. */
+static size_t node_below(double position, size_t count) {
+  return (size_t)real_min(real_max(position, 0), (double)(count - 2));
+}
+
+double fit_table_error(const fit_table *table, double ln_ratio, double ln_place) {
+  const double place = ln_place + (table->waves ? FIT_LN_2_PI : 0);
+  const size_t row = node_below((ln_ratio - table->ratio_least) / table->ratio_step, RATIOS);
+  const size_t band =
+      node_below((place - table->ln_least) / table->ln_step, PLACES) / FIT_TABLE_BAND;
+  return FIT_TABLE_ERROR + real_max(table->errors[row][band], table->errors[row + 1][band]);
 }

@@ -13,8 +13,13 @@
 #include "core/core.h"
 #include "core/fit/aperture.h"
 
-/* Number of steps in ln_ratio, and in ln x or ln q, plus one. */
-enum { FIT_TABLE_RATIOS = 46, FIT_TABLE_PLACES = 220 };
+/* Number of steps in ln_ratio, and in ln x or ln q, plus one; and the steps of a band of errors. */
+enum { FIT_TABLE_RATIOS = 46, FIT_TABLE_PLACES = 220, FIT_TABLE_BAND = 10 };
+
+/* What interpolation adds to the numerical error, relative. */
+#define FIT_TABLE_ERROR 1e-4
+
+#define FIT_LN_2_PI 1.83787706640934548356
 
 typedef struct fit_table {
   bool waves;         /* whether the table is of TRANSFER */
@@ -24,6 +29,7 @@ typedef struct fit_table {
   double ln_step;
   double kappa[FIT_TABLE_RATIOS];
   double L[FIT_TABLE_RATIOS * FIT_TABLE_PLACES]; /* [FIT_TABLE_RATIOS][FIT_TABLE_PLACES] */
+  double errors[FIT_TABLE_RATIOS][FIT_TABLE_PLACES / FIT_TABLE_BAND]; /* numerical, of profiles */
 } fit_table;
 
 /* What a table is made from: a model whose parameters have no length (`tolerance` is not used), and
@@ -39,6 +45,9 @@ struct fit_table_source {
   /* NULL, or an aperture of `g` and `eta`: R is then multiplied by its share */
   const fit_aperture *aperture;
 };
+
+/* Returns the numerical error of a value, relative. ln_place: ln x, or ln f over sigma_t'. */
+double fit_table_error(const fit_table *table, double ln_ratio, double ln_place);
 
 /* Makes a table. Faults are those of core_profile_prepare(). On a fault *table is NULL, else the
  * caller frees it with free(). */

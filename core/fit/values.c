@@ -217,3 +217,35 @@ core_fault fit_values(const struct fit_model *model, struct fit_place place,
   }
   return fault;
 }
+
+core_fault fit_numerical_errors(const struct fit_model *model, struct fit_place place,
+                                const struct fit_places *places, double *errors) {
+  const core_medium medium = fit_medium(model, place);
+  const double ln_sigma_t_prime = fit_ln(core_sigma_t_prime(&medium));
+  core_profile profile = {0};
+  core_fault fault = {0};
+  if (model->table == NULL) {
+    fault = core_profile_prepare(&profile, model->isa, model->model, model->moments,
+                                 CORE_EVALUATOR_F64, &medium, &model->parameters);
+  }
+  for (size_t i = 0; i < places->count && fault.field == NULL; i++) {
+    errors[i] = 0;
+    for (size_t k = places->first[i]; k < places->first[i + 1]; k++) {
+      double error;
+      if (model->table != NULL) {
+        error = fit_table_error(model->table, place.ln_ratio,
+                                model->table->waves ? places->ln_at[k] - ln_sigma_t_prime
+                                                    : places->ln_at[k] + ln_sigma_t_prime);
+      } else {
+        const core_stated_errors stated = core_profile_errors(
+            &profile, (unsigned)model->quantity, (core_radii_range){places->at[k], places->at[k]});
+        error = fma(stated.numerical_per_mm, places->at[k], stated.numerical);
+      }
+      errors[i] = real_max(errors[i], error);
+    }
+  }
+  if (model->table == NULL && fault.field == NULL) {
+    core_profile_free(&profile);
+  }
+  return fault;
+}

@@ -18,6 +18,7 @@ struct fit_model {
   double eta;
   double thickness_mm; /* mm, thickness of the media; 0: half spaces */
   core_parameters parameters;
+  double detector_na;    /* 0: light of all angles */
   bool narrow;           /* whether the design has an aperture */
   fit_aperture aperture; /* valid if `narrow` */
   /* NULL if the model has kernels for media that vary, or a parameter that is a length */
@@ -48,6 +49,11 @@ core_medium fit_medium(const struct fit_model *model, struct fit_place place);
 /* Returns the relative error of readings against radiative transport; NAN if it is not known. */
 double fit_model_error(const struct fit_model *model, const core_medium *medium,
                        const struct fit_places *places);
+
+/* Sets errors[count] to the numerical errors of what fit_values() gives, relative. Returns the fault
+ * of a medium that the model does not take. */
+core_fault fit_numerical_errors(const struct fit_model *model, struct fit_place place,
+                                const struct fit_places *places, double *errors);
 
 /* Returns ln x; for smaller x, ln of the least normal number. */
 double fit_ln(double x);

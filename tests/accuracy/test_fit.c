@@ -345,7 +345,7 @@ static void compare_table(unsigned model, unsigned axis, double g) {
   core_fit_free(fit);
   printf("the table of %s, axis %u, g %g: %.2g more than stated of a profile\n",
          core_choice_by_id(core_models, model)->name, axis, g, worst);
-  assert_true(worst < 1e-4);
+  assert_true(worst < FIT_TABLE_ERROR);
 }
 
 UNIT_TEST(the_table_is_the_model) {

@@ -1,0 +1,797 @@
+#include "core/fit/spectral.h"
+
+#include <math.h>
+#include <stdlib.h>
+
+#include "core/fit/search.h"
+#include "core/kernels.h"
+
+#define CORE_REAL 64
+#include "core/kernel.h"
+
+enum { MOST = CORE_SPECTRAL_UNKNOWNS_MAX, CANDIDATES = 9, STARTS = 3, STEPS_MAX = 60 };
+
+/* A descent is settled after a step of fewer standard errors, and with logarithms, which only come
+ * near, after one that lowers chi-squared by less than a reading's share. */
+#define STEP_END 1e-6
+#define FALL_NEAR 1e-2
+/* If rounding keeps chi-squared from falling, a step that was to lower it by this share is the last. */
+#define FALL_ROUNDED 1e-9
+#define DAMPING_FIRST 1e-2
+#define DAMPING_LEAST 1e-12
+#define DAMPING_MOST 1e10
+/* Eigenvalues of a matrix with a diagonal of 1 are not known to this. Errors are infinite if they are
+ * so many times what they would be with all other unknowns known. */
+#define ROUNDING 1e-15
+#define ERROR_MOST 1e6
+/* A second minimum differs by so many standard errors. */
+#define APART 5.0
+
+/* Chi-squared around x as far as it is quadratic, with the factor eliminated. */
+struct quadratic {
+  double x[MOST];
+  bool logarithms; /* whether the residuals are logarithmic; the factor is then its logarithm */
+  bool outside;    /* whether a wavelength's medium is beyond those that are tried */
+  double factor, chi_squared;
+  double information[MOST][MOST];
+  double to[MOST];           /* minus half the derivatives of chi-squared */
+  double along_factor[MOST]; /* share of each derivative that the factor takes */
+  double of_factor;          /* information of ln factor alone; 0 if the factor is known */
+};
+
+/* The information with a diagonal of 1: vectors[.][j] has the eigenvalue values[j]. */
+struct spectrum {
+  double scale[MOST]; /* of the unknowns; 0 where the information is */
+  double vectors[MOST][MOST], values[MOST];
+};
+
+enum stage { COMPARES, BEGINS, COMES_NEAR, SETTLES, ENDS };
+
+struct minimum {
+  double x[MOST], chi_squared;
+  bool settled;
+};
+
+struct core_spectral {
+  const core_fit *fit;
+  size_t wavelengths, places, count; /* count: of readings */
+  size_t chromophores, unknowns, oxy, deoxy;
+  core_spectral_term terms[CORE_SPECTRAL_TERMS_MAX];
+  size_t term_of[MOST];
+  double low[MOST], high[MOST]; /* of the unknowns x: amounts, ln a and b */
+  double reference_error;
+  const double *values, *errors; /* the set */
+  enum stage stage;
+  unsigned evaluations;
+  int candidate, left;
+  size_t start_count, next, minimum_count;
+  struct minimum starts[STARTS], minima[STARTS];
+  struct quadratic now;
+  double damping;
+  /* [wavelengths]: ln(wavelength / 500 nm); sigma_a and sigma_s' as they were evaluated last */
+  double *ln_wavelength, *sigma_a;
+  struct fit_place *media;
+  double *absorption; /* [wavelengths][chromophores] */
+  /* [count]: the factors of the model, its values with them, and derivatives by ln_ratio and by
+   * ln_scattering; logarithms of the readings and of the model, or numerical errors */
+  double *weight, *model, *by_ratio, *by_scattering, *ln_values, *ln_model;
+};
+
+/* ---- checking -------------------------------------------------------------------------------- */
+
+static bool is_sought(const core_spectral_term *term) {
+  return term->high > term->low;
+}
+
+static core_fault check_term(const core_spectral_design *design, size_t i) {
+  const core_spectral_term *term = &design->terms[i];
+  const bool is_a = i == design->chromophore_count, is_b = i > design->chromophore_count;
+  const double least = is_b ? -10 : is_a ? 1e-6 : 0, most = is_b ? 10 : is_a ? 1e6 : 1e9;
+  const bool sought = is_sought(term);
+  const bool inside = term->start >= least && term->start <= most &&
+                      (!sought || (term->low >= least && term->high <= most &&
+                                   term->start >= term->low && term->start <= term->high));
+  return inside ? (core_fault){0}
+                : (core_fault){"terms",
+                               is_b   ? "-10 to 10, start between low and high"
+                               : is_a ? "1e-6 to 1e6 per mm, start between low and high"
+                                      : "0 to 1e9, start between low and high",
+                               i};
+}
+
+core_fault core_spectral_check(const core_spectral_design *design, size_t places, unsigned scale) {
+  const size_t wavelengths = design->wavelength_count, terms = design->chromophore_count + 2;
+  if (wavelengths < 1 || wavelengths > CORE_SPECTRAL_WAVELENGTHS_MAX) {
+    return (core_fault){"wavelengths", "1 to 1024 wavelengths", wavelengths};
+  }
+  if (terms < 3 || terms > CORE_SPECTRAL_TERMS_MAX) {
+    return (core_fault){"terms", "1 to 30 chromophores", terms};
+  }
+  size_t unknowns = 0;
+  for (size_t i = 0; i < terms; i++) {
+    const core_fault fault = check_term(design, i);
+    if (fault.field != NULL) {
+      return fault;
+    }
+    unknowns += is_sought(&design->terms[i]);
+  }
+  if (unknowns < 1 || unknowns > MOST) {
+    return (core_fault){"terms", "1 to 16 of them sought, with high above low", 0};
+  }
+  const size_t least = unknowns + (scale == CORE_FIT_SCALE_FREE);
+  if (wavelengths * places < least || wavelengths * places > CORE_SPECTRAL_READINGS_MAX) {
+    return (core_fault){"wavelengths", "as many readings as unknowns in a set, to 4096", 0};
+  }
+  for (size_t l = 0; l < wavelengths; l++) {
+    if (!(design->wavelength_nm[l] >= 100 && design->wavelength_nm[l] <= 1e5)) {
+      return (core_fault){"wavelengths", "100 to 1e5 nm", l};
+    }
+    for (size_t i = 0; i < design->chromophore_count; i++) {
+      const double one = design->absorption_per_mm[l * design->chromophore_count + i];
+      if (!(one >= 0 && one <= 1e9)) {
+        return (core_fault){"wavelengths", "those where each absorption is known", l};
+      }
+    }
+  }
+  return (core_fault){0};
+}
+
+/* ---- preparing ------------------------------------------------------------------------------- */
+
+core_fault core_spectral_create(core_spectral **made, const core_fit *places,
+                                const core_spectral_design *design) {
+  const size_t wavelengths = design->wavelength_count, count = wavelengths * places->count;
+  const size_t chromophores = design->chromophore_count;
+  *made = NULL;
+  core_spectral *of = malloc(sizeof *of);
+  double *numbers = malloc(((4 + chromophores) * wavelengths + 6 * count) * sizeof *numbers);
+  if (of == NULL || numbers == NULL) {
+    free(of);
+    free(numbers);
+    return CORE_OUT_OF_MEMORY;
+  }
+  *of = (core_spectral){.fit = places,
+                        .wavelengths = wavelengths,
+                        .places = places->count,
+                        .count = count,
+                        .chromophores = chromophores,
+                        .oxy = design->oxy,
+                        .deoxy = design->deoxy,
+                        .reference_error = places->reference_error,
+                        .ln_wavelength = numbers,
+                        .sigma_a = numbers + wavelengths,
+                        .media = (struct fit_place *)(void *)(numbers + 2 * wavelengths),
+                        .absorption = numbers + 4 * wavelengths};
+  of->weight = of->absorption + chromophores * wavelengths;
+  of->model = of->weight + count;
+  of->by_ratio = of->model + count;
+  of->by_scattering = of->by_ratio + count;
+  of->ln_values = of->by_scattering + count;
+  of->ln_model = of->ln_values + count;
+  memcpy(of->terms, design->terms, (chromophores + 2) * sizeof *of->terms);
+  memcpy(of->absorption, design->absorption_per_mm,
+         chromophores * wavelengths * sizeof *of->absorption);
+  for (size_t i = 0; i < chromophores + 2; i++) {
+    if (is_sought(&of->terms[i])) {
+      const core_spectral_term *term = &of->terms[i];
+      of->low[of->unknowns] = i == chromophores ? fit_ln(term->low) : term->low;
+      of->high[of->unknowns] = i == chromophores ? fit_ln(term->high) : term->high;
+      of->term_of[of->unknowns++] = i;
+    }
+  }
+  core_fault fault = {0};
+  for (size_t l = 0; l < wavelengths && fault.field == NULL; l++) {
+    of->ln_wavelength[l] = fit_ln(design->wavelength_nm[l] / 500);
+    double *weight = of->weight + l * of->places, error = of->reference_error;
+    memcpy(weight, places->weight, of->places * sizeof *weight);
+    if (design->reference != NULL) {
+      fault = fit_weights_of(places, &design->reference[l], weight, &error);
+      fault.index = l;
+    }
+    of->reference_error = error > of->reference_error || isnan(error) ? error : of->reference_error;
+  }
+  if (fault.field != NULL) {
+    core_spectral_free(of);
+  } else {
+    *made = of;
+  }
+  return fault;
+}
+
+void core_spectral_free(core_spectral *spectral) {
+  if (spectral != NULL) {
+    free(spectral->ln_wavelength);
+    free(spectral);
+  }
+}
+
+/* ---- chi-squared ----------------------------------------------------------------------------- */
+
+static double clamp(double x, double least, double most) {
+  return real_min(real_max(x, least), most);
+}
+
+/* Returns term i of x: an amount, ln a or b. */
+static double term_at(const core_spectral *of, const double *x, size_t i) {
+  for (size_t k = 0; k < of->unknowns; k++) {
+    if (of->term_of[k] == i) {
+      return x[k];
+    }
+  }
+  return i == of->chromophores ? fit_ln(of->terms[i].start) : of->terms[i].start;
+}
+
+/* Sets the media of x. Returns whether one is beyond those that are tried. */
+static bool set_media(core_spectral *of, const double *x) {
+  const struct fit_place *least = &of->fit->least, *most = &of->fit->most;
+  const double ln_a = term_at(of, x, of->chromophores), b = term_at(of, x, of->chromophores + 1);
+  double amounts[CORE_SPECTRAL_TERMS_MAX];
+  bool outside = false;
+  for (size_t i = 0; i < of->chromophores; i++) {
+    amounts[i] = term_at(of, x, i);
+  }
+  for (size_t l = 0; l < of->wavelengths; l++) {
+    double sigma_a = 0;
+    for (size_t i = 0; i < of->chromophores; i++) {
+      sigma_a = fma(amounts[i], of->absorption[l * of->chromophores + i], sigma_a);
+    }
+    const double ln_scattering = fma(-b, of->ln_wavelength[l], ln_a);
+    const double ln_ratio = fit_ln(sigma_a) - ln_scattering;
+    const struct fit_place place = {
+        clamp(ln_ratio, least->ln_ratio, most->ln_ratio),
+        clamp(ln_scattering, least->ln_scattering, most->ln_scattering)};
+    outside |= place.ln_ratio < ln_ratio || place.ln_ratio > ln_ratio ||
+               place.ln_scattering < ln_scattering || place.ln_scattering > ln_scattering;
+    of->media[l] = place;
+    of->sigma_a[l] = real_exp_signed(place.ln_ratio + place.ln_scattering);
+  }
+  return outside;
+}
+
+/* What unknown k adds to ln_ratio and to ln_scattering at a wavelength. */
+struct chain {
+  double ratio, scattering;
+};
+
+static struct chain chain_of(const core_spectral *of, size_t l, size_t k) {
+  const size_t i = of->term_of[k];
+  const double ln = of->ln_wavelength[l];
+  return i < of->chromophores
+             ? (struct chain){of->absorption[l * of->chromophores + i] / of->sigma_a[l], 0}
+         : i == of->chromophores ? (struct chain){-1, 1}
+                                 : (struct chain){ln, -ln};
+}
+
+/* A residual, and the derivatives of what it is a difference to, by ln_ratio, ln_scattering and
+ * ln factor. */
+struct residual {
+  double off, r, s, f;
+};
+
+static struct residual residual_of(const core_spectral *of, const struct quadratic *q, size_t i) {
+  if (q->logarithms) {
+    const double weight = real_max(of->values[i], 0) / of->errors[i];
+    const double slope = weight / real_max(of->model[i], 0x1p-1022);
+    return (struct residual){weight * (of->ln_values[i] - of->ln_model[i] - q->factor),
+                             slope * of->by_ratio[i], slope * of->by_scattering[i], weight};
+  }
+  const double weight = 1 / of->errors[i], scaled = q->factor * weight;
+  return (struct residual){weight * of->values[i] - scaled * of->model[i], scaled * of->by_ratio[i],
+                           scaled * of->by_scattering[i], scaled * of->model[i]};
+}
+
+/* Returns the factor that fits best, or its logarithm. */
+static double best_factor(const core_spectral *of, bool logarithms) {
+  struct quadratic one = {.logarithms = logarithms, .factor = logarithms ? 0 : 1};
+  double both = 0, square = 0;
+  for (size_t i = 0; of->fit->free_factor && i < of->count; i++) {
+    const struct residual at = residual_of(of, &one, i);
+    both += at.f * (at.off + (logarithms ? 0 : at.f));
+    square += at.f * at.f;
+  }
+  return !of->fit->free_factor ? one.factor : square > 0 ? both / square : 0;
+}
+
+/* Adds the residuals of a wavelength. */
+static void add_wavelength(const core_spectral *of, size_t l, struct quadratic *q) {
+  double rr = 0, rs = 0, ss = 0, ro = 0, so = 0, rf = 0, sf = 0;
+  for (size_t i = l * of->places; i < (l + 1) * of->places; i++) {
+    const struct residual at = residual_of(of, q, i);
+    q->chi_squared += at.off * at.off;
+    q->of_factor += at.f * at.f;
+    rr += at.r * at.r;
+    rs += at.r * at.s;
+    ss += at.s * at.s;
+    ro += at.r * at.off;
+    so += at.s * at.off;
+    rf += at.r * at.f;
+    sf += at.s * at.f;
+  }
+  for (size_t k = 0; k < of->unknowns; k++) {
+    const struct chain by = chain_of(of, l, k);
+    q->to[k] += by.ratio * ro + by.scattering * so;
+    q->along_factor[k] += by.ratio * rf + by.scattering * sf;
+    for (size_t j = 0; j <= k; j++) {
+      const struct chain and = chain_of(of, l, j);
+      q->information[k][j] += by.ratio * (and.ratio * rr + and.scattering * rs) +
+                              by.scattering * (and.ratio * rs + and.scattering * ss);
+    }
+  }
+}
+
+/* Evaluates the model around x. Returns false if there is no finite chi-squared. */
+static bool expand(core_spectral *of, const double *x, bool logarithms, struct quadratic *q) {
+  const size_t n = of->unknowns, places = of->places;
+  *q = (struct quadratic){.logarithms = logarithms, .outside = set_media(of, x)};
+  memcpy(q->x, x, sizeof q->x);
+  of->evaluations++;
+  for (size_t l = 0; l < of->wavelengths; l++) {
+    double *model = of->model + l * places, *by_ratio = of->by_ratio + l * places;
+    double *by_scattering = of->by_scattering + l * places;
+    const double *weight = of->weight + l * places;
+    if (fit_values(&of->fit->model, of->media[l], &of->fit->places, model, by_ratio, by_scattering)
+            .field != NULL) {
+      return false;
+    }
+    for (size_t i = 0; i < places; i++) {
+      model[i] *= weight[i];
+      by_ratio[i] *= weight[i];
+      by_scattering[i] *= weight[i];
+    }
+  }
+  if (logarithms) {
+    of->fit->model.loops->logarithms(of->count, of->model, of->ln_model);
+  }
+  q->factor = best_factor(of, logarithms);
+  for (size_t l = 0; l < of->wavelengths; l++) {
+    add_wavelength(of, l, q);
+  }
+  if (!of->fit->free_factor) {
+    q->of_factor = 0;
+  }
+  for (size_t k = 0; k < n; k++) {
+    q->along_factor[k] = q->of_factor > 0 ? q->along_factor[k] / q->of_factor : 0;
+    for (size_t j = 0; j <= k; j++) {
+      q->information[k][j] -= q->along_factor[k] * q->along_factor[j] * q->of_factor;
+      q->information[j][k] = q->information[k][j];
+    }
+  }
+  return q->chi_squared < (double)INFINITY;
+}
+
+/* ---- eigenvalues ----------------------------------------------------------------------------- */
+
+/* Turns rows and columns p and q so that the number there becomes 0 (Jacobi 1846). */
+static void rotate(double matrix[MOST][MOST], double vectors[MOST][MOST], size_t n, size_t p,
+                   size_t q) {
+  const double theta = (matrix[q][q] - matrix[p][p]) / (2 * matrix[p][q]);
+  const double t = (theta < 0 ? -1 : 1) / (fabs(theta) + sqrt(fma(theta, theta, 1)));
+  const double c = 1 / sqrt(fma(t, t, 1)), s = t * c;
+  for (size_t i = 0; i < n; i++) {
+    const double ip = matrix[i][p], iq = matrix[i][q];
+    matrix[i][p] = c * ip - s * iq;
+    matrix[i][q] = s * ip + c * iq;
+  }
+  for (size_t i = 0; i < n; i++) {
+    const double pi = matrix[p][i], qi = matrix[q][i], vp = vectors[i][p], vq = vectors[i][q];
+    matrix[p][i] = c * pi - s * qi;
+    matrix[q][i] = s * pi + c * qi;
+    vectors[i][p] = c * vp - s * vq;
+    vectors[i][q] = s * vp + c * vq;
+  }
+}
+
+/* Finds eigenvalues and eigenvectors. kept: unknowns that do not count, or NULL */
+static void decompose(const struct quadratic *q, size_t n, const bool *kept, struct spectrum *to) {
+  double matrix[MOST][MOST];
+  for (size_t k = 0; k < n; k++) {
+    const double own = q->information[k][k];
+    to->scale[k] = own > 0 && (kept == NULL || !kept[k]) ? 1 / sqrt(own) : 0;
+  }
+  for (size_t k = 0; k < n; k++) {
+    for (size_t j = 0; j < n; j++) {
+      matrix[k][j] = q->information[k][j] * to->scale[k] * to->scale[j];
+      to->vectors[k][j] = k == j;
+    }
+  }
+  double off = 1;
+  for (int sweep = 0; sweep < 30 && off > 0; sweep++) {
+    off = 0;
+    for (size_t p = 0; p < n; p++) {
+      for (size_t j = p + 1; j < n; j++) {
+        if (fabs(matrix[p][j]) > 1e-18) {
+          off += fabs(matrix[p][j]);
+          rotate(matrix, to->vectors, n, p, j);
+        }
+      }
+    }
+  }
+  for (size_t k = 0; k < n; k++) {
+    to->values[k] = matrix[k][k];
+  }
+}
+
+/* Sets out[n] to the inverse of the information, with a damped diagonal, times in[n]. Returns in
+ * times out. */
+static double solve(const struct spectrum *by, size_t n, double damping, const double *in,
+                    double *out) {
+  double sum = 0;
+  for (size_t k = 0; k < n; k++) {
+    out[k] = 0;
+  }
+  for (size_t j = 0; j < n; j++) {
+    double along = 0;
+    for (size_t k = 0; k < n; k++) {
+      along += by->vectors[k][j] * by->scale[k] * in[k];
+    }
+    const double value = real_max(by->values[j], ROUNDING) + damping;
+    sum += along * along / value;
+    for (size_t k = 0; k < n; k++) {
+      out[k] += by->scale[k] * by->vectors[k][j] * (along / value);
+    }
+  }
+  return sum;
+}
+
+/* ---- searching ------------------------------------------------------------------------------- */
+
+/* Tries a step of the descent. Returns whether it is the last; then sets *settled. */
+static bool descend(core_spectral *of, bool *settled) {
+  const size_t n = of->unknowns;
+  struct quadratic *q = &of->now;
+  struct spectrum by;
+  struct quadratic next;
+  bool kept[MOST] = {false};
+  double x[MOST] = {0}, step[MOST], length = 0, fall = 0;
+  for (size_t k = 0; k < n; k++) {
+    kept[k] = (q->x[k] <= of->low[k] && q->to[k] < 0) || (q->x[k] >= of->high[k] && q->to[k] > 0);
+  }
+  decompose(q, n, kept, &by);
+  solve(&by, n, of->damping, q->to, step);
+  for (size_t k = 0; k < n; k++) {
+    x[k] = clamp(q->x[k] + step[k], of->low[k], of->high[k]);
+    step[k] = x[k] - q->x[k];
+  }
+  for (size_t k = 0; k < n; k++) {
+    fall += 2 * step[k] * q->to[k];
+    for (size_t j = 0; j < n; j++) {
+      length += step[k] * step[j] * q->information[k][j];
+    }
+  }
+  fall -= length;
+  const bool valid = length > 0 && expand(of, x, q->logarithms, &next);
+  *settled = !(length > 0);
+  if (valid && next.chi_squared <= q->chi_squared) {
+    const double fell = q->chi_squared - next.chi_squared;
+    *settled = q->logarithms ? fell < FALL_NEAR * (double)of->count : length < STEP_END * STEP_END;
+    of->damping = real_max(of->damping * (fell > 0.7 * fall   ? 0.1
+                                          : fell < 0.2 * fall ? 3
+                                                              : 1),
+                           DAMPING_LEAST);
+    *q = next;
+  } else if (length > 0) {
+    *settled = fall < FALL_ROUNDED * (1 + q->chi_squared);
+    of->damping *= 5;
+  }
+  return *settled || --of->left <= 0 || of->damping > DAMPING_MOST;
+}
+
+/* Compares candidate i: the amounts and a are more and less than their starts. */
+static void compare(core_spectral *of, int i) {
+  static const double amounts[] = {1, 0.25, 4}, scatterings[] = {0, -1.1, 1.1};
+  struct minimum one = {.settled = false};
+  for (size_t k = 0; k < of->unknowns; k++) {
+    const size_t term = of->term_of[k];
+    const double start =
+        term == of->chromophores ? fit_ln(of->terms[term].start) : of->terms[term].start;
+    one.x[k] = clamp(term < of->chromophores    ? start * amounts[i % 3]
+                     : term == of->chromophores ? start + scatterings[i / 3]
+                                                : start,
+                     of->low[k], of->high[k]);
+  }
+  bool known = false;
+  for (size_t k = 0; k < of->start_count; k++) {
+    known |= memcmp(of->starts[k].x, one.x, sizeof one.x) == 0;
+  }
+  if (known || !expand(of, one.x, true, &of->now)) {
+    return;
+  }
+  one.chi_squared = of->now.chi_squared;
+  size_t at = of->start_count < STARTS ? of->start_count++ : STARTS;
+  for (; at > 0 && one.chi_squared < of->starts[at - 1].chi_squared; at--) {
+    if (at < STARTS) {
+      of->starts[at] = of->starts[at - 1];
+    }
+  }
+  if (at < STARTS) {
+    of->starts[at] = one;
+  }
+}
+
+static void keep_minimum(core_spectral *of, bool settled) {
+  struct minimum *one = &of->minima[of->minimum_count++];
+  *one = (struct minimum){.chi_squared = of->now.chi_squared, .settled = settled};
+  memcpy(one->x, of->now.x, sizeof one->x);
+  of->stage = BEGINS;
+}
+
+/* Goes on to the next descent, with logarithms if there is one from this start. */
+static void begin_descent(core_spectral *of, bool logarithms) {
+  of->damping = DAMPING_FIRST;
+  of->left = STEPS_MAX;
+  const double *x = logarithms ? of->starts[of->next++].x : of->now.x;
+  double from[MOST];
+  memcpy(from, x, sizeof from);
+  of->stage = !expand(of, from, logarithms, &of->now) ? BEGINS : logarithms ? COMES_NEAR : SETTLES;
+}
+
+bool core_spectral_begin(core_spectral *of, const double *values, const double *errors,
+                         core_spectral_result *result, double *residuals) {
+  const double none = (double)NAN;
+  core_fault fault = {0};
+  for (size_t i = 0; i < of->count && fault.field == NULL; i++) {
+    fault = !isfinite(values[i]) ? (core_fault){"value", "finite", i}
+            : errors[i] > 0 && isfinite(errors[i])
+                ? fault
+                : (core_fault){"error", "above 0, and finite", i};
+  }
+  const core_spectral_estimate unknown = {0, CORE_FIT_STATUS_REFUSED, none, none, none};
+  *result = (core_spectral_result){.status = CORE_FIT_STATUS_REFUSED,
+                                   .fault = fault,
+                                   .unknown_count = of->unknowns,
+                                   .saturation = unknown,
+                                   .total = unknown,
+                                   .factor = none,
+                                   .factor_error = none,
+                                   .chi_squared = none,
+                                   .reduced_chi_squared = none,
+                                   .condition = none,
+                                   .numerical_error = none,
+                                   .model_error = none};
+  for (size_t k = 0; k < of->unknowns; k++) {
+    result->unknown[k] = unknown;
+    result->unknown[k].term = of->term_of[k];
+  }
+  for (size_t k = 0; k < of->unknowns * of->unknowns; k++) {
+    result->covariance[k] = none;
+  }
+  for (size_t i = 0; residuals != NULL && i < of->count; i++) {
+    residuals[i] = none;
+  }
+  if (fault.field != NULL) {
+    return false;
+  }
+  of->values = values;
+  of->errors = errors;
+  of->fit->model.loops->logarithms(of->count, values, of->ln_values);
+  of->stage = COMPARES;
+  of->evaluations = 0;
+  of->candidate = 0;
+  of->start_count = of->next = of->minimum_count = 0;
+  return true;
+}
+
+/* ---- results --------------------------------------------------------------------------------- */
+
+/* What results are made from. */
+struct found {
+  struct quadratic q;
+  struct spectrum by;
+  bool settled;
+};
+
+/* Sets *error and *shift to the standard error of a number whose derivatives by the unknowns are
+ * `by`, and to what numerical errors of R (in ln_model) may change it by; covariances[n] to those
+ * with the unknowns. */
+static void measure(const core_spectral *of, const struct found *at, const double *by,
+                    double *error, double *shift, double *covariances) {
+  double along = 0;
+  *error = sqrt(solve(&at->by, of->unknowns, 0, by, covariances));
+  *shift = 0;
+  for (size_t k = 0; k < of->unknowns; k++) {
+    along += covariances[k] * at->q.along_factor[k];
+    if (!(at->by.scale[k] > 0) && (by[k] < 0 || by[k] > 0)) {
+      *error = (double)INFINITY;
+    }
+  }
+  for (size_t l = 0; l < of->wavelengths; l++) {
+    struct chain all = {0, 0};
+    for (size_t k = 0; k < of->unknowns; k++) {
+      const struct chain one = chain_of(of, l, k);
+      all.ratio = fma(covariances[k], one.ratio, all.ratio);
+      all.scattering = fma(covariances[k], one.scattering, all.scattering);
+    }
+    for (size_t i = l * of->places; i < (l + 1) * of->places; i++) {
+      const struct residual r = residual_of(of, &at->q, i);
+      *shift +=
+          fabs((r.r * all.ratio + r.s * all.scattering - r.f * along) * r.f) * of->ln_model[i];
+    }
+  }
+}
+
+/* Returns the status of what has this error, which is to be below most_error. */
+static enum core_fit_status judge(bool settled, bool bound, double error, double shift,
+                                  double most_error) {
+  return !(error < most_error)       ? CORE_FIT_STATUS_UNDETERMINED
+         : bound                     ? CORE_FIT_STATUS_AT_BOUND
+         : settled && shift <= error ? CORE_FIT_STATUS_FITTED
+                                     : CORE_FIT_STATUS_UNFINISHED;
+}
+
+static core_spectral_estimate estimate(size_t term, enum core_fit_status status, double value,
+                                       double error, double shift) {
+  return (core_spectral_estimate){
+      .term = term,
+      .status = status,
+      .value = status == CORE_FIT_STATUS_UNDETERMINED ? (double)NAN : value,
+      .error = status == CORE_FIT_STATUS_UNDETERMINED || status == CORE_FIT_STATUS_AT_BOUND
+                   ? (double)INFINITY
+                   : error,
+      .numerical = shift,
+  };
+}
+
+/* Sets the estimate of unknown k, and its row of the covariances. */
+static void put_unknown(const core_spectral *of, const struct found *at, size_t k,
+                        core_spectral_result *result) {
+  const size_t term = of->term_of[k], n = of->unknowns;
+  const double x = at->q.x[k], range = of->high[k] - of->low[k];
+  double by[MOST] = {0}, row[MOST], error, shift;
+  by[k] = 1;
+  measure(of, at, by, &error, &shift, row);
+  error = error < ERROR_MOST * at->by.scale[k] ? error : (double)INFINITY;
+  double most = CORE_SPECTRAL_SHARE_MOST * range;
+  if (term < of->chromophores) {
+    const double usual = real_max(x, of->terms[term].start);
+    most = usual > 0 ? real_min(most, CORE_FIT_LN_ERROR_MAX * usual) : most;
+  } else if (term == of->chromophores) {
+    most = real_min(most, CORE_FIT_LN_ERROR_MAX);
+  }
+  const bool bound = at->q.outside || x <= of->low[k] || x >= of->high[k];
+  const enum core_fit_status status =
+      judge(at->settled, bound, error, shift, at->q.factor > 0 ? most : 0);
+  const bool is_a = term == of->chromophores;
+  const double value = is_a ? real_exp_signed(x) : x, scale = is_a ? value : 1;
+  result->unknown[k] = estimate(term, status, value, scale * error, scale * shift);
+  for (size_t j = 0; j < n; j++) {
+    const double other = of->term_of[j] == of->chromophores ? real_exp_signed(at->q.x[j]) : 1;
+    result->covariance[k * n + j] =
+        j != k || isfinite(error) ? scale * other * row[j] : (double)INFINITY;
+  }
+}
+
+/* Sets saturation and total. */
+static void put_haemoglobin(const core_spectral *of, const struct found *at,
+                            core_spectral_result *result) {
+  const double none = (double)NAN;
+  const core_spectral_estimate absent = {of->chromophores + 2, CORE_FIT_STATUS_UNDETERMINED, none,
+                                         (double)INFINITY, none};
+  double by_share[MOST] = {0}, by_total[MOST] = {0}, row[MOST], error, shift;
+  bool sought = false, bound = at->q.outside;
+  result->saturation = result->total = absent;
+  if (of->oxy >= of->chromophores || of->deoxy >= of->chromophores) {
+    return;
+  }
+  const double oxy = term_at(of, at->q.x, of->oxy), deoxy = term_at(of, at->q.x, of->deoxy);
+  const double total = oxy + deoxy;
+  for (size_t k = 0; k < of->unknowns; k++) {
+    if (of->term_of[k] == of->oxy || of->term_of[k] == of->deoxy) {
+      sought = true;
+      bound |= result->unknown[k].status == CORE_FIT_STATUS_AT_BOUND;
+      by_total[k] = 1;
+      by_share[k] = (of->term_of[k] == of->oxy ? deoxy : -oxy) / (total * total);
+    }
+  }
+  if (sought && total > 0) {
+    measure(of, at, by_share, &error, &shift, row);
+    result->saturation =
+        estimate(absent.term, judge(at->settled, bound, error, shift, CORE_SPECTRAL_SHARE_MOST),
+                 oxy / total, error, shift);
+    measure(of, at, by_total, &error, &shift, row);
+    result->total =
+        estimate(absent.term, judge(at->settled, bound, error, shift, total), total, error, shift);
+  }
+}
+
+/* Sets the numerical errors of R, in ln_model, and their largest; and the model error. */
+static void set_model_errors(core_spectral *of, core_spectral_result *result) {
+  result->model_error = 0;
+  result->numerical_error = 0;
+  for (size_t l = 0; l < of->wavelengths; l++) {
+    double *errors = of->ln_model + l * of->places;
+    const core_medium medium = fit_medium(&of->fit->model, of->media[l]);
+    const double error =
+        fit_model_error(&of->fit->model, &medium, &of->fit->places) + of->reference_error;
+    const core_fault fault =
+        fit_numerical_errors(&of->fit->model, of->media[l], &of->fit->places, errors);
+    result->model_error = error > result->model_error || isnan(error) ? error : result->model_error;
+    for (size_t i = 0; i < of->places; i++) {
+      errors[i] = fault.field == NULL ? errors[i] : (double)INFINITY;
+      result->numerical_error = real_max(result->numerical_error, errors[i]);
+    }
+  }
+}
+
+/* Returns whether another minimum is a second solution: it fits nearly as well, and a fitted unknown
+ * differs. */
+static bool is_second(const core_spectral *of, const struct minimum *best,
+                      const struct minimum *other, const core_spectral_result *result) {
+  bool apart = false;
+  for (size_t k = 0; k < of->unknowns; k++) {
+    const double sd = sqrt(result->covariance[k * of->unknowns + k]);
+    const double unit = of->term_of[k] == of->chromophores ? result->unknown[k].value : 1;
+    apart |= result->unknown[k].status == CORE_FIT_STATUS_FITTED &&
+             fabs(other->x[k] - best->x[k]) * unit > APART * sd;
+  }
+  return apart && other->settled && other->chi_squared < best->chi_squared + CORE_FIT_AMBIGUOUS;
+}
+
+static double condition_of(const struct spectrum *by, size_t n) {
+  double least = (double)INFINITY, most = 0;
+  for (size_t k = 0; k < n; k++) {
+    least = real_min(least, by->values[k]);
+    most = real_max(most, by->values[k]);
+  }
+  return least > ROUNDING ? sqrt(most / least) : (double)INFINITY;
+}
+
+static void put_result(core_spectral *of, core_spectral_result *result, double *residuals) {
+  const struct minimum *best = &of->minima[0];
+  for (size_t i = 1; i < of->minimum_count; i++) {
+    best = of->minima[i].chi_squared < best->chi_squared ? &of->minima[i] : best;
+  }
+  struct found at = {.settled = best->settled};
+  if (of->minimum_count == 0 || !expand(of, best->x, false, &at.q)) {
+    result->status = CORE_FIT_STATUS_UNFINISHED;
+    return;
+  }
+  const size_t n = of->unknowns, unknowns = n + of->fit->free_factor;
+  const size_t spare = of->count > unknowns ? of->count - unknowns : 0;
+  bool bound = false, vague = !(at.q.factor > 0), precise = true, second = false;
+  decompose(&at.q, n, NULL, &at.by);
+  set_model_errors(of, result);
+  result->factor = at.q.factor;
+  result->chi_squared = at.q.chi_squared;
+  result->reduced_chi_squared = spare > 0 ? at.q.chi_squared / (double)spare : (double)NAN;
+  result->condition = condition_of(&at.by, n);
+  result->evaluations = of->evaluations;
+  for (size_t k = 0; k < n; k++) {
+    put_unknown(of, &at, k, result);
+    bound |= result->unknown[k].status == CORE_FIT_STATUS_AT_BOUND;
+    vague |= result->unknown[k].status == CORE_FIT_STATUS_UNDETERMINED;
+    precise &= result->unknown[k].status != CORE_FIT_STATUS_UNFINISHED;
+  }
+  put_haemoglobin(of, &at, result);
+  for (size_t i = 0; i < of->minimum_count; i++) {
+    second |= &of->minima[i] != best && is_second(of, best, &of->minima[i], result);
+  }
+  double row[MOST], unused, error;
+  measure(of, &at, at.q.along_factor, &error, &unused, row);
+  result->factor_error =
+      at.q.of_factor > 0 ? at.q.factor * sqrt(1 / at.q.of_factor + error * error) : 0;
+  result->status = fit_status(bound, at.q.chi_squared > fit_chi_squared_most(spare), vague,
+                              best->settled && precise, second);
+  for (size_t i = 0; residuals != NULL && i < of->count; i++) {
+    residuals[i] = residual_of(of, &at.q, i).off;
+  }
+}
+
+bool core_spectral_step(core_spectral *of, core_spectral_result *result, double *residuals) {
+  bool settled = false;
+  if (of->stage == COMPARES) {
+    compare(of, of->candidate++);
+    of->stage = of->candidate < CANDIDATES ? COMPARES : BEGINS;
+  } else if (of->stage == BEGINS && of->next < of->start_count) {
+    begin_descent(of, true);
+  } else if (of->stage == BEGINS) {
+    of->stage = ENDS;
+  } else if (of->stage == COMES_NEAR && descend(of, &settled)) {
+    begin_descent(of, false);
+  } else if (of->stage == SETTLES && descend(of, &settled)) {
+    keep_minimum(of, settled);
+  } else if (of->stage == ENDS) {
+    put_result(of, result, residuals);
+    return false;
+  }
+  return true;
+}

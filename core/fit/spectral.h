@@ -1,0 +1,105 @@
+/* spectral: finds amounts of chromophores and scattering from readings at several wavelengths.
+ *
+ * At the wavelength l, in nm, a medium has
+ *
+ *   sigma_a = sum over i of amount_i absorption_i(l)     sigma_s' = a (l / 500)^-b
+ *
+ * (Jacques 2013, Eqs. 12 and 1). Amounts, a and b are given or sought. g and eta are those of the
+ * places, whose design (core/fit/fit.h, with of_spectra) evaluates R for all wavelengths.
+ *
+ * Method: chi-squared = sum ((value - factor R) / error)^2 is minimized by Levenberg's and
+ * Marquardt's method in the amounts, ln a and b between their limits, from the best of nine starts,
+ * first with logarithmic residuals; an unknown factor is eliminated. The same readings give the same
+ * bits on every machine. */
+#ifndef DIPOLED_CORE_FIT_SPECTRAL_H
+#define DIPOLED_CORE_FIT_SPECTRAL_H
+
+#include "core/fit/fit.h"
+
+enum {
+  CORE_SPECTRAL_UNKNOWNS_MAX = 16, /* the factor aside */
+  CORE_SPECTRAL_TERMS_MAX = 32,    /* amounts, a and b, sought or given */
+  CORE_SPECTRAL_WAVELENGTHS_MAX = 1024,
+  CORE_SPECTRAL_READINGS_MAX = 4096, /* in a set: wavelengths times places */
+};
+
+/* An unknown is UNDETERMINED if its standard error is at least this share of the range between its
+ * limits: half of the standard deviation of a number that may be anywhere between them. */
+#define CORE_SPECTRAL_SHARE_MOST 0.144
+
+/* A number of the medium: sought between low and high, from `start` on, if high is above low; else
+ * `start` is given. */
+typedef struct core_spectral_term {
+  double start, low, high;
+} core_spectral_term;
+
+typedef struct core_spectral_design {
+  size_t wavelength_count;
+  const double *wavelength_nm; /* [wavelength_count] above 0 */
+  size_t chromophore_count;
+  /* [wavelength_count][chromophore_count] 1/mm for a unit of the amount, at least 0 */
+  const double *absorption_per_mm;
+  /* [chromophore_count + 2]: amounts, at least 0; then a in 1/mm, above 0; then b */
+  const core_spectral_term *terms;
+  size_t oxy, deoxy; /* positions of oxyhaemoglobin and haemoglobin; chromophore_count: none */
+  const core_medium *reference; /* [wavelength_count] what readings are divided by, or NULL */
+} core_spectral_design;
+
+/* What was found of a term, of the saturation or of the total: FITTED; UNDETERMINED (the value is
+ * NAN); AT_BOUND (the value is a limit, or depends on one that is); or UNFINISHED (numerical errors of
+ * R may shift it by more than its standard error, or the search did not settle). */
+typedef struct core_spectral_estimate {
+  size_t term; /* position in terms[] */
+  enum core_fit_status status;
+  double value;
+  double
+      error; /* standard error with all other unknowns free; INFINITY if UNDETERMINED or AT_BOUND */
+  double numerical; /* how far numerical errors of R may shift the value */
+} core_spectral_estimate;
+
+typedef struct core_spectral_result {
+  enum core_fit_status status; /* as of a fit; FITTED only if all unknowns are */
+  core_fault fault;            /* REFUSED: `value` or `error`, and the index of the reading */
+  size_t unknown_count;
+  core_spectral_estimate unknown[CORE_SPECTRAL_UNKNOWNS_MAX]; /* in the order of the terms */
+  /* [unknown_count][unknown_count] as the readings' errors have it, of UNDETERMINED ones, too; a
+   * variance is INFINITY without information */
+  double covariance[CORE_SPECTRAL_UNKNOWNS_MAX * CORE_SPECTRAL_UNKNOWNS_MAX];
+  /* Oxyhaemoglobin's share of both, and their sum, by their covariance; NAN unless both are there
+   * and one of them is sought. */
+  core_spectral_estimate saturation, total;
+  double factor; /* of all readings; 1 unless the scale is FREE */
+  double factor_error;
+  double chi_squared;
+  double reduced_chi_squared; /* over readings less unknowns; NAN if they are as many */
+  /* The largest over the least standard error along directions of the unknowns, each in units of
+   * its standard error with all others known; INFINITY if a direction changes nothing. */
+  double condition;
+  double numerical_error; /* largest of R at the readings, relative */
+  double model_error;     /* largest of R against radiative transport; NAN: not known */
+  unsigned evaluations;   /* of the model for all readings */
+} core_spectral_result;
+
+/* Returns the fault of a design for this many places. Fields: `wavelengths`, `absorption`, `terms`
+ * with the index; `unknown_count`, `reading_count`. */
+core_fault core_spectral_check(const core_spectral_design *design, size_t places, unsigned scale);
+
+/* A design with what a search needs; one thread uses it at a time. */
+typedef struct core_spectral core_spectral;
+
+/* Prepares a design that core_spectral_check() accepts, which may go; `places` has to stay. Faults:
+ * `memory`, `reference` with the index of the wavelength. On a fault *spectral is NULL, else the
+ * caller frees it with core_spectral_free(), which accepts NULL. */
+core_fault core_spectral_create(core_spectral **spectral, const core_fit *places,
+                                const core_spectral_design *design);
+void core_spectral_free(core_spectral *spectral);
+
+/* Begins with a set: values and errors [wavelength][place], as of core_fit_run(), which have to
+ * stay. Returns whether the search continues; if not, it has set the result of readings that are
+ * refused. core_spectral_step() does about one evaluation of all readings; at the end of the search it
+ * sets the result and residuals, which may be NULL, and returns false. */
+bool core_spectral_begin(core_spectral *spectral, const double *values, const double *errors,
+                         core_spectral_result *result, double *residuals);
+bool core_spectral_step(core_spectral *spectral, core_spectral_result *result, double *residuals);
+
+#endif

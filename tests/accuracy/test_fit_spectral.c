@@ -1,0 +1,428 @@
+/* Fits of spectra: amounts and scattering come back from simulated readings with the scatter that the
+ * readings allow, and what they do not determine is said. Readings are those of single profiles. */
+#include "core/fit/spectral.h"
+
+#include <math.h>
+
+#include "core/tissue/tissue.h"
+#include "tests/unit/unit.h"
+
+enum { HBO2, HB, WATER, FAT, CHROMOPHORES, A = CHROMOPHORES, B, TERMS, BANDS = 36, PLACES = 4 };
+static const char *const names[] = {"hbo2", "hb", "water", "fat", "a", "b"};
+static const double truth[TERMS] = {56, 24, 0.6, 0.3, 1.9, 1.2};
+static const core_spectral_term sought[TERMS] = {{30, 0, 2326}, {15, 0, 2326}, {0.7, 0, 1},
+                                                 {0.1, 0, 1},   {2, 0.2, 10},  {1.2, -0.5, 4}};
+static const double twelve[] = {650, 690, 730, 760, 800, 830, 850, 880, 910, 930, 970, 1000};
+
+/* An instrument, and what is sought of a medium. */
+struct instrument {
+  size_t bands, places;
+  unsigned axis, scale, model;
+  double g, at[PLACES], nm[BANDS], absorption[BANDS * CHROMOPHORES];
+  double error; /* relative */
+  core_spectral_term terms[TERMS];
+  const core_medium *reference;
+  core_fit *fit;
+  core_spectral *spectral;
+};
+
+static struct instrument instrument(const double *nm, size_t bands) {
+  struct instrument of = {.bands = bands,
+                          .places = PLACES,
+                          .axis = CORE_FIT_AXIS_RADIUS,
+                          .scale = CORE_FIT_SCALE_ABSOLUTE,
+                          .model = CORE_MODEL_TRANSPORT,
+                          .g = 0.9,
+                          .at = {2, 4, 7, 12},
+                          .error = 0.01};
+  memcpy(of.terms, sought, sizeof sought);
+  for (size_t l = 0; l < bands; l++) {
+    of.nm[l] = nm[l];
+    for (size_t i = 0; i < CHROMOPHORES; i++) {
+      unit_assert_fault(core_chromophore_at((enum core_property)(CORE_PROPERTY_HBO2 + i),
+                                            CORE_HAEMOGLOBIN_PRAHL, nm[l],
+                                            &of.absorption[l * CHROMOPHORES + i]),
+                        NULL, 0);
+    }
+  }
+  return of;
+}
+
+static void prepare(struct instrument *of) {
+  const core_fit_design design = {.model = of->model,
+                                  .moments = CORE_MOMENTS_EXACT,
+                                  .g = of->g,
+                                  .eta = 1.4,
+                                  .axis = of->axis,
+                                  .count = of->places,
+                                  .at = of->at,
+                                  .scale = of->scale,
+                                  .of_spectra = true};
+  const core_spectral_design spectral = {.wavelength_count = of->bands,
+                                         .wavelength_nm = of->nm,
+                                         .chromophore_count = CHROMOPHORES,
+                                         .absorption_per_mm = of->absorption,
+                                         .terms = of->terms,
+                                         .oxy = HBO2,
+                                         .deoxy = HB,
+                                         .reference = of->reference};
+  unit_assert_fault(core_fit_create(&of->fit, core_isa_select(NULL), &design), NULL, 0);
+  unit_assert_fault(core_spectral_check(&spectral, of->places, of->scale), NULL, 0);
+  unit_assert_fault(core_spectral_create(&of->spectral, of->fit, &spectral), NULL, 0);
+}
+
+static void finish(struct instrument *of) {
+  core_spectral_free(of->spectral);
+  core_fit_free(of->fit);
+}
+
+/* Sets R[places] of a medium of band l, or of its reference, from a profile. */
+static void read_profile(const struct instrument *of, size_t l, const core_medium *medium,
+                         double *R) {
+  core_profile profile = unit_profile(of->model, CORE_EVALUATOR_F64, medium, NULL);
+  core_eval_f64(&profile,
+                of->axis == CORE_FIT_AXIS_RADIUS ? CORE_QUANTITY_R : CORE_QUANTITY_TRANSFER,
+                of->places, of->at, R + l * of->places);
+  core_profile_free(&profile);
+}
+
+static core_medium medium_at(const struct instrument *of, const double *terms, size_t l) {
+  const double scattering = terms[A] * pow(of->nm[l] / 500, -terms[B]);
+  core_medium medium = {0, scattering / (1 - of->g), of->g, 1.4, 0};
+  for (size_t i = 0; i < CHROMOPHORES; i++) {
+    medium.sigma_a_per_mm += terms[i] * of->absorption[l * CHROMOPHORES + i];
+  }
+  return medium;
+}
+
+/* Sets R[bands][places]. */
+static void read_profiles(const struct instrument *of, const double *terms, double *R) {
+  double known[BANDS * PLACES];
+  for (size_t l = 0; l < of->bands; l++) {
+    const core_medium medium = medium_at(of, terms, l);
+    read_profile(of, l, &medium, R);
+    if (of->reference != NULL) {
+      read_profile(of, l, &of->reference[l], known);
+    }
+    for (size_t i = l * of->places; i < (l + 1) * of->places && of->reference != NULL; i++) {
+      R[i] /= known[i];
+    }
+  }
+}
+
+static core_spectral_result fit_noisy(const struct instrument *of, const double *R, double noise,
+                                      uint64_t *seed) {
+  double values[BANDS * PLACES], errors[BANDS * PLACES], residuals[BANDS * PLACES], sum = 0;
+  core_spectral_result result;
+  for (size_t i = 0; i < of->bands * of->places; i++) {
+    double normal = -6; /* a sum of twelve numbers from 0 to 1 has the variance 1 */
+    for (int k = 0; k < 12; k++) {
+      normal += unit_random_between(seed, 0, 1);
+    }
+    errors[i] = of->error * R[i];
+    values[i] = R[i] + noise * normal * errors[i];
+  }
+  bool more = core_spectral_begin(of->spectral, values, errors, &result, residuals);
+  while (more) {
+    more = core_spectral_step(of->spectral, &result, residuals);
+  }
+  for (size_t i = 0; i < of->bands * of->places; i++) {
+    sum += residuals[i] * residuals[i];
+  }
+  assert_true(fabs(sum - result.chi_squared) <= 1e-6 * (1 + sum));
+  return result;
+}
+
+static core_spectral_result fit_one(struct instrument *of, const double *terms, uint64_t seed) {
+  double R[BANDS * PLACES];
+  prepare(of);
+  read_profiles(of, terms, R);
+  const core_spectral_result result = fit_noisy(of, R, 1, &seed);
+  finish(of);
+  return result;
+}
+
+/* Sets bound[n][n] to the covariance that readings allow at least (Cramer and Rao), by differences of
+ * profiles. n: TERMS, or one more with ln factor. */
+static void bound_of(const struct instrument *of, size_t n, double *bound) {
+  double R[BANDS * PLACES], by[TERMS + 1][BANDS * PLACES], own[TERMS + 1][2 * TERMS + 2] = {{0}};
+  const size_t count = of->bands * of->places;
+  read_profiles(of, truth, R);
+  for (size_t k = 0; k < n; k++) {
+    double near[TERMS], other[BANDS * PLACES];
+    for (size_t i = 0; k == TERMS && i < count; i++) {
+      by[k][i] = 1 / of->error;
+    }
+    if (k == TERMS) {
+      continue;
+    }
+    memcpy(near, truth, sizeof near);
+    near[k] = truth[k] * 1.01;
+    read_profiles(of, near, by[k]);
+    near[k] = truth[k] * 0.99;
+    read_profiles(of, near, other);
+    for (size_t i = 0; i < count; i++) {
+      by[k][i] = (by[k][i] - other[i]) / (0.02 * truth[k] * of->error * R[i]);
+    }
+  }
+  for (size_t k = 0; k < n; k++) {
+    own[k][n + k] = 1;
+    for (size_t j = 0; j < n; j++) {
+      for (size_t i = 0; i < count; i++) {
+        own[k][j] += by[k][i] * by[j][i];
+      }
+    }
+  }
+  for (size_t k = 0; k < n; k++) { /* Gauss and Jordan */
+    for (size_t row = 0; row < n; row++) {
+      const double factor = own[row][k] / own[k][k];
+      for (size_t j = 0; row != k && j < 2 * n; j++) {
+        own[row][j] -= factor * own[k][j];
+      }
+    }
+  }
+  for (size_t k = 0; k < n * n; k++) {
+    bound[k] = own[k / n][n + k % n] / own[k / n][k / n];
+  }
+}
+
+/* Scatter of estimates, and their errors. */
+struct scatter {
+  double sum, squares, within, stated;
+};
+
+static void add_to_scatter(struct scatter *of, double off, double error) {
+  of->sum += off;
+  of->squares += off * off;
+  of->within += fabs(off) <= error;
+  of->stated += error;
+}
+
+static void judge_scatter(const struct scatter *of, const char *name, double sets,
+                          double variance) {
+  const double mean = of->sum / sets, sd = sqrt(of->squares / sets - mean * mean);
+  const double bound = sqrt(variance);
+  printf("%s: scatter %.4g, bound %.4g, stated %.4g, mean %.2g off; %.1f %% within one error\n",
+         name, sd, bound, of->stated / sets, mean, 100 * of->within / sets);
+  assert_true(sd < 1.1 * bound && sd > 0.9 * bound);
+  assert_true(fabs(of->stated / sets - bound) < 0.05 * bound);
+  assert_true(fabs(mean) < 0.2 * bound);
+  assert_true(of->within / sets > 0.64 && of->within / sets < 0.73);
+}
+
+static void expect_scatter(unsigned axis, unsigned scale, const double at[PLACES], uint64_t seed) {
+  struct instrument of = instrument(twelve, 12);
+  const size_t sets = unit_is_long() ? 10000 : 1000;
+  const size_t n = scale == CORE_FIT_SCALE_FREE ? TERMS + 1 : TERMS;
+  struct scatter terms[TERMS] = {{0}}, saturation = {0}, total = {0}, factor = {0};
+  double R[BANDS * PLACES], bound[(TERMS + 1) * (TERMS + 1)];
+  of.axis = axis;
+  of.scale = scale;
+  memcpy(of.at, at, sizeof of.at);
+  prepare(&of);
+  read_profiles(&of, truth, R);
+  bound_of(&of, n, bound);
+  const double all = truth[HBO2] + truth[HB];
+  for (size_t set = 0; set < sets; set++) {
+    const core_spectral_result result = fit_noisy(&of, R, 1, &seed);
+    assert_int_equal(result.status, CORE_FIT_STATUS_FITTED);
+    for (size_t k = 0; k < TERMS; k++) {
+      add_to_scatter(&terms[k], result.unknown[k].value - truth[k], result.unknown[k].error);
+    }
+    add_to_scatter(&saturation, result.saturation.value - truth[HBO2] / all,
+                   result.saturation.error);
+    add_to_scatter(&total, result.total.value - all, result.total.error);
+    add_to_scatter(&factor, result.factor - 1, result.factor_error);
+  }
+  const double count = (double)sets, oxy = bound[0], both = bound[1], deoxy = bound[n + 1];
+  const double by_oxy = truth[HB] / (all * all), by_deoxy = -truth[HBO2] / (all * all);
+  for (size_t k = 0; k < TERMS; k++) {
+    judge_scatter(&terms[k], names[k], count, bound[k * (n + 1)]);
+  }
+  judge_scatter(&total, "total", count, oxy + 2 * both + deoxy);
+  judge_scatter(&saturation, "saturation", count,
+                by_oxy * by_oxy * oxy + 2 * by_oxy * by_deoxy * both + by_deoxy * by_deoxy * deoxy);
+  if (n > TERMS) {
+    judge_scatter(&factor, "factor", count, bound[TERMS * (n + 1)]);
+  } else {
+    assert_true(factor.squares == 0 && factor.stated == 0);
+  }
+  finish(&of);
+}
+
+UNIT_TEST(amounts_scatter_as_the_readings_allow) {
+  static const double distances[PLACES] = {2, 4, 7, 12}, frequencies[PLACES] = {0, 0.03, 0.06, 0.1};
+  expect_scatter(CORE_FIT_AXIS_RADIUS, CORE_FIT_SCALE_ABSOLUTE, distances, 1000);
+  expect_scatter(CORE_FIT_AXIS_RADIUS, CORE_FIT_SCALE_FREE, distances, 2000);
+  expect_scatter(CORE_FIT_AXIS_FREQUENCY, CORE_FIT_SCALE_ABSOLUTE, frequencies, 3000);
+}
+
+UNIT_TEST(readings_over_those_of_a_known_medium_serve_as_well) {
+  struct instrument of = instrument(twelve, 12);
+  core_medium phantom[12];
+  for (size_t l = 0; l < of.bands; l++) {
+    phantom[l] = (core_medium){0.005 + 1e-5 * of.nm[l], 8, 0.8, 1.43, 0};
+  }
+  of.error = 2e-3;
+  const core_spectral_result plain = fit_one(&of, truth, 500);
+  of.reference = phantom;
+  const core_spectral_result result = fit_one(&of, truth, 500);
+  for (size_t k = 0; k < TERMS; k++) {
+    const double off = result.unknown[k].value - plain.unknown[k].value;
+    assert_true(fabs(off) < 0.05 * sqrt(plain.covariance[k * (TERMS + 1)]));
+  }
+}
+
+/* Expects a number within the digits of another or, as spectra at 10 nm are coarse, within 5 %. */
+static void expect_near(double value, double other, double half_digit) {
+  printf("%.3g, not %g\n", value, other);
+  assert_true(fabs(value - other) <= fmax(1.1 * half_digit, 0.05 * other));
+}
+
+/* The standard deviations of saturation, water and fat if sigma_a is known to 1 % at these
+ * wavelengths and no other number of the medium is sought, by a program in Python with spectra at
+ * steps of 10 nm. 0: not sought. */
+UNIT_TEST(wavelengths_determine_what_a_linear_fit_says) {
+  static const struct {
+    double nm[6]; /* or from, to and a step of 10, if there are two and they are round */
+    double saturation[3], water[2], fat;
+  } rows[] = {{{690, 830}, {0.006}, {0}, 0},
+              {{690, 778, 800, 850}, {0.005, 0.015, 0.019}, {0.21, 0.48}, 4.7},
+              {{658, 682, 785, 810, 830, 850}, {0.004, 0.013, 0.014}, {0.19, 0.19}, 0.74},
+              {{659, 691, 731, 851}, {0.005, 0.017, 0.114}, {0.19, 1.9}, 7.0},
+              {{650, 900}, {0.002, 0.004, 0.005}, {0.05, 0.07}, 0.08},
+              {{650, 1000}, {0.002, 0.002, 0.002}, {0.005, 0.005}, 0.017}};
+  static const double tissue[TERMS] = {56, 24, 0.7, 0.1, 1.9, 1.2};
+  for (size_t i = 0; i < sizeof rows / sizeof *rows; i++) {
+    double nm[BANDS], R[3][BANDS], errors[BANDS];
+    size_t bands = 0;
+    for (; bands < 6 && rows[i].nm[bands] > 0; bands++) {
+      nm[bands] = rows[i].nm[bands];
+    }
+    for (double next = 660; i >= 4 && next <= rows[i].nm[1]; next += 10) {
+      nm[bands = (size_t)(next - 650) / 10] = next;
+    }
+    bands += i >= 4;
+    for (size_t column = 0; column < (bands > 2 ? 3 : 1); column++) {
+      struct instrument of = instrument(nm, bands);
+      core_spectral_result result;
+      of.model = CORE_MODEL_BETTER;
+      of.places = 1;
+      for (size_t k = 2 + column; k < TERMS; k++) {
+        of.terms[k] = (core_spectral_term){tissue[k], 0, 0};
+      }
+      prepare(&of);
+      for (size_t l = 0; l < bands; l++) {
+        core_medium medium = medium_at(&of, tissue, l);
+        const double sigma_a = medium.sigma_a_per_mm;
+        read_profile(&of, l, &medium, R[0]);
+        medium.sigma_a_per_mm = 1.005 * sigma_a;
+        read_profile(&of, l, &medium, R[1]);
+        medium.sigma_a_per_mm = 0.995 * sigma_a;
+        read_profile(&of, l, &medium, R[2]);
+        errors[l] = fabs(R[1][l] - R[2][l]);
+      }
+      bool more = core_spectral_begin(of.spectral, R[0], errors, &result, NULL);
+      while (more) {
+        more = core_spectral_step(of.spectral, &result, NULL);
+      }
+      const size_t n = result.unknown_count + 1;
+      expect_near(result.saturation.error, rows[i].saturation[column], 5e-4);
+      if (column > 0) {
+        expect_near(sqrt(result.covariance[WATER * n]), rows[i].water[column - 1], 5e-3);
+      }
+      if (column > 1) {
+        expect_near(sqrt(result.covariance[FAT * n]), rows[i].fat, 5e-3);
+      }
+      finish(&of);
+    }
+  }
+}
+
+/* ---- what readings do not determine ---------------------------------------------------------- */
+
+static void expect(const core_spectral_estimate *one, enum core_fit_status status) {
+  assert_int_equal(one->status, status);
+  if (status == CORE_FIT_STATUS_UNDETERMINED) {
+    assert_true(isnan(one->value) && isinf(one->error));
+  }
+}
+
+UNIT_TEST(water_below_850_nm_is_never_fitted) {
+  struct instrument of = instrument(twelve + 1, 4);
+  double R[BANDS * PLACES];
+  uint64_t seed = 4000;
+  of.error = 0.02;
+  of.terms[FAT] = (core_spectral_term){truth[FAT], 0, 0};
+  prepare(&of);
+  read_profiles(&of, truth, R);
+  for (int set = 0; set < 200; set++) {
+    const core_spectral_result result = fit_noisy(&of, R, 1, &seed);
+    assert_int_not_equal(result.status, CORE_FIT_STATUS_FITTED);
+    expect(&result.unknown[WATER], CORE_FIT_STATUS_UNDETERMINED);
+    expect(&result.saturation, CORE_FIT_STATUS_FITTED);
+    assert_true(fabs(result.saturation.value - 0.7) < 4 * result.saturation.error);
+  }
+  finish(&of);
+}
+
+UNIT_TEST(four_amounts_at_two_wavelengths_are_undetermined) {
+  struct instrument of = instrument(twelve + 1, 2);
+  const core_spectral_result result = fit_one(&of, truth, 5000);
+  assert_int_equal(result.status, CORE_FIT_STATUS_UNDETERMINED);
+  assert_true(isinf(result.condition));
+  for (size_t k = 0; k < CHROMOPHORES; k++) {
+    expect(&result.unknown[k], CORE_FIT_STATUS_UNDETERMINED);
+    assert_true(isinf(result.covariance[k * (TERMS + 1)]));
+  }
+}
+
+/* R of all distances depends on sigma_a / sigma_s' alone: amounts and a have a factor in common, which
+ * the saturation does not see. */
+UNIT_TEST(one_reading_of_the_albedo_gives_the_saturation_alone) {
+  static const double blood[TERMS] = {56, 24, 0, 0, 1.9, 1.2};
+  struct instrument of = instrument(twelve, 6);
+  of.axis = CORE_FIT_AXIS_FREQUENCY;
+  of.places = 1;
+  of.at[0] = 0;
+  of.terms[WATER] = of.terms[FAT] = (core_spectral_term){0, 0, 0};
+  of.terms[B] = (core_spectral_term){truth[B], 0, 0};
+  const core_spectral_result result = fit_one(&of, blood, 6000);
+  assert_int_equal(result.status, CORE_FIT_STATUS_UNDETERMINED);
+  for (size_t k = 0; k < 3; k++) {
+    expect(&result.unknown[k], CORE_FIT_STATUS_UNDETERMINED);
+  }
+  expect(&result.total, CORE_FIT_STATUS_UNDETERMINED);
+  expect(&result.saturation, CORE_FIT_STATUS_FITTED);
+  printf("saturation %.4f +- %.4f\n", result.saturation.value, result.saturation.error);
+  assert_true(fabs(result.saturation.value - 0.7) < 3 * result.saturation.error);
+  assert_true(result.saturation.error < 0.02);
+}
+
+UNIT_TEST(an_amount_at_its_limit_is_said) {
+  struct instrument of = instrument(twelve, 12);
+  of.terms[HB] = (core_spectral_term){15, 0, 20};
+  const core_spectral_result result = fit_one(&of, truth, 7000);
+  assert_int_equal(result.status, CORE_FIT_STATUS_AT_BOUND);
+  expect(&result.unknown[HB], CORE_FIT_STATUS_AT_BOUND);
+  expect(&result.saturation, CORE_FIT_STATUS_AT_BOUND);
+  assert_true(result.unknown[HB].value == 20 && isinf(result.unknown[HB].error));
+}
+
+UNIT_TEST(readings_that_are_better_than_the_table_are_not_fitted) {
+  struct instrument of = instrument(twelve, 12);
+  of.error = 1e-5;
+  core_spectral_result result = fit_one(&of, truth, 8000);
+  assert_int_equal(result.status, CORE_FIT_STATUS_UNFINISHED);
+  for (size_t k = 0; k < TERMS; k++) {
+    const core_spectral_estimate *one = &result.unknown[k];
+    expect(one, CORE_FIT_STATUS_UNFINISHED);
+    assert_true(fabs(one->value - truth[k]) < one->numerical + 4 * one->error);
+  }
+  of.model = CORE_MODEL_BETTER; /* its numerical error is that of rounding */
+  result = fit_one(&of, truth, 8000);
+  assert_int_equal(result.status, CORE_FIT_STATUS_FITTED);
+  for (size_t k = 0; k < TERMS; k++) {
+    assert_true(fabs(result.unknown[k].value - truth[k]) < 4 * result.unknown[k].error);
+  }
+}
