@@ -144,6 +144,9 @@ extern const core_choice core_parameter_list[];
 extern const core_choice core_notes[];
 extern const core_choice core_coefficients[];
 extern const core_choice core_unknowns[];
+extern const core_choice core_properties[]; /* of core/tissue/tissue.h, and the two that follow */
+extern const core_choice core_haemoglobins[];
+extern const core_choice core_tissues[];
 extern const core_choice core_lights[];
 extern const core_choice core_fit_scales[];
 extern const core_choice core_fit_axes[];

@@ -8,6 +8,7 @@
 #include "core/fit/fit.h"
 #include "core/gather/gather.h"
 #include "core/montecarlo/montecarlo.h"
+#include "core/tissue/tissue.h"
 #include "core/varying.h"
 
 /* ---- tables ---------------------------------------------------------------------------------- */
@@ -450,24 +451,24 @@ uint8_t *schema_put_part(uint8_t *payload, const schema_layout *layout, unsigned
 
 /* ---- parameters ------------------------------------------------------------------------------ */
 
-static wire_error parse_parameter(const uint8_t *at, core_parameters *parameters) {
+static wire_error parse_parameter(const uint8_t *at, const core_choice *list, double *values) {
   wire_parameter parameter;
   wire_get_parameter(at, &parameter);
-  if (core_choice_by_id(core_parameter_list, parameter.parameter) == NULL) {
-    return wire_error_not_in_list("parameter", core_parameter_list, "one of");
+  const core_choice *one = core_choice_by_id(list, parameter.parameter);
+  if (one == NULL) {
+    return wire_error_not_in_list("parameter", list, "one of");
   }
   if (parameter.zero != 0 || parameter.zero_too != 0) {
     return wire_error_make(WIRE_STATUS_BAD_VALUE, parameter.zero != 0 ? "zero" : "zero_too", "0");
   }
-  if (!isnan(parameters->value[parameter.parameter])) {
+  if (!isnan(values[one->id])) {
     return wire_error_make(WIRE_STATUS_BAD_VALUE, "parameter", "each at most once");
   }
   if (isnan(parameter.value)) {
-    return wire_error_make(WIRE_STATUS_BAD_VALUE,
-                           core_choice_by_id(core_parameter_list, parameter.parameter)->name,
+    return wire_error_make(WIRE_STATUS_BAD_VALUE, one->name,
                            "a number; a parameter that is not wanted is left out");
   }
-  parameters->value[parameter.parameter] = parameter.value;
+  values[one->id] = parameter.value;
   return wire_error_none();
 }
 
@@ -475,8 +476,13 @@ wire_error schema_parse_parameters(const uint8_t *at, uint32_t count, uint32_t l
                                    core_parameters *parameters) {
   *parameters = core_parameters_none();
   parameters->layer_count = layer_count;
+  return schema_parse_numbers(at, count, core_parameter_list, parameters->value);
+}
+
+wire_error schema_parse_numbers(const uint8_t *at, uint32_t count, const core_choice *list,
+                                double *values) {
   for (uint32_t i = 0; i < count; i++) {
-    wire_error error = parse_parameter(at + (size_t)i * WIRE_BYTES_parameter, parameters);
+    wire_error error = parse_parameter(at + (size_t)i * WIRE_BYTES_parameter, list, values);
     if (error.status != WIRE_STATUS_OK) {
       error.index = i;
       return error;

@@ -203,6 +203,10 @@ uint8_t *schema_put_part(uint8_t *payload, const schema_layout *layout, unsigned
 wire_error schema_parse_parameters(const uint8_t *at, uint32_t count, uint32_t layer_count,
                                    core_parameters *parameters);
 
+/* The same for the numbers of any list: sets values[id], which have to be NaN before. */
+wire_error schema_parse_numbers(const uint8_t *at, uint32_t count, const core_choice *list,
+                                double *values);
+
 /* Returns how many parameters are given, that is, not NaN. */
 uint32_t schema_count_parameters(const core_parameters *parameters);
 

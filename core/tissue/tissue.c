@@ -133,17 +133,17 @@ core_fault core_tissue_check(const core_tissue *tissue) {
   static const struct {
     unsigned id;
     double least, most;
-    const char *name, *allowed;
+    const char *name, *allowed, *needed;
   } ranges[] = {
 #define CORE_PROPERTY(id, IDENT, name, least, most, usual, about)                                  \
-  {id, least, most, name, #least " to " #most},
+  {id, least, most, name, #least " to " #most, #least " to " #most ": it has to be given"},
 #include "core/tissue/tissue.def"
   };
   for (size_t i = 0; i < sizeof ranges / sizeof ranges[0]; i++) {
     const double value = tissue->value[ranges[i].id];
     /* NaN is outside of every range */
     if (!(value >= ranges[i].least && value <= ranges[i].most)) {
-      return (core_fault){ranges[i].name, ranges[i].allowed, 0};
+      return (core_fault){ranges[i].name, isnan(value) ? ranges[i].needed : ranges[i].allowed, 0};
     }
   }
   if (tissue->value[CORE_PROPERTY_VESSEL_RADIUS] > 0 && tissue->value[CORE_PROPERTY_BLOOD] > 0) {

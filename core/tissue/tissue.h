@@ -30,12 +30,9 @@ enum core_haemoglobin {
 #define CORE_SCATTERING_FROM_NM 400
 #define CORE_SCATTERING_TO_NM 1300
 
-/* Lists as those of core.h. `about` of a property is its meaning, of the others their sources. */
-extern const core_choice core_properties[];
-extern const core_choice core_haemoglobins[];
-extern const core_choice core_tissues[];
+enum { CORE_TISSUE_WAVELENGTHS_MAX = 1024 }; /* of one request */
 
-/* What a tissue is: value[CORE_PROPERTY_...]. */
+/* What a tissue is, of the lists in core.h: value[CORE_PROPERTY_...]. */
 typedef struct core_tissue {
   double value[CORE_PROPERTIES_END];
   enum core_haemoglobin haemoglobin;

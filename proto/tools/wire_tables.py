@@ -71,7 +71,8 @@ def write_protocol(path: Path) -> None:
 JOB_COLUMNS = "name | eval | sample | invert | mc | fit | meaning"
 BLOCKS = {first: block for block in LISTS["blocks"] for first in [block[1]]}
 MIRROR = LISTS["mirror"]
-WITHOUT_REGISTERS = ("quantity", "status", "parameter", "light", "value", "coefficient", "unknown")
+WITHOUT_REGISTERS = ("quantity", "status", "parameter", "light", "value", "coefficient", "unknown",
+                     "property", "haemoglobin", "tissue")
 
 
 def section(title: str, columns: str, rows: list[str]) -> str:

@@ -196,8 +196,7 @@ static void put_request(struct http_text *text, const schema_message *message, b
       put_list_field(text, message, in_query, field->name, NUMBER, field->meaning);
     }
   }
-  for (const core_choice *one = core_parameter_list;
-       schema_field_of(request, "parameter_count") != NULL && one->name != NULL; one++) {
+  for (const core_choice *one = http_request_numbers(request); one->name != NULL; one++) {
     if (schema_field_of(request, one->name) == NULL &&
         begin_field(text, message, in_query, one->name)) {
       put_kind(text, SCHEMA_f64);
@@ -272,6 +271,7 @@ static void put_reply_parts(struct http_text *text, const schema_payload *reply)
       put_list(text, part->name,
                part->kind != SCHEMA_LIST                     ? NUMBER
                : part->structure->fields == FIELDS(estimate) ? REFERENCE("Estimate")
+               : part->structure->fields == FIELDS(medium)   ? REFERENCE("Coefficients")
                                                              : REFERENCE("Offer"),
                part->about);
     }

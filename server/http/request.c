@@ -549,13 +549,20 @@ static const schema_field *shown_field(const schema_message *message, const char
   return NULL;
 }
 
+const core_choice *http_request_numbers(const schema_payload *request) {
+  static const core_choice none[] = {{0, NULL, NULL}};
+  return schema_field_of(request, "parameter_count") != NULL  ? core_parameter_list
+         : schema_field_of(request, "property_count") != NULL ? core_properties
+                                                              : none;
+}
+
 static bool add_parameters(struct translation *t) {
-  for (const core_choice *one = core_parameter_list; one->name != NULL; one++) {
+  const core_choice *numbers = http_request_numbers(t->message->request);
+  for (const core_choice *one = numbers; one->name != NULL; one++) {
     const json_t *value = value_of(t, one->name);
     wire_parameter parameter = {.parameter = (uint16_t)one->id};
-    const core_choice *list = choices_of_parameter(one->id);
-    if (value == NULL || schema_field_of(t->message->request, "parameter_count") == NULL ||
-        shown_field(t->message, one->name) != NULL) {
+    const core_choice *list = numbers == core_parameter_list ? choices_of_parameter(one->id) : NULL;
+    if (value == NULL || shown_field(t->message, one->name) != NULL) {
       continue;
     }
     uint64_t id = 0;
@@ -728,12 +735,12 @@ static uint64_t counted(const struct translation *t, const schema_field *field) 
       continue;
     }
     const json_t *list = value_of(t, part->name);
-    return part->form == SCHEMA_EACH || part->form == SCHEMA_POSITIONS  ? longest(t)
-           : part->form == SCHEMA_CHANNELS || part->form == SCHEMA_SETS ? sets_of(list)
-           : part->kind != SCHEMA_LIST && list != NULL                  ? count_of(list)
-           : is_same(part->name, "medium")                              ? t->medium_count
-           : is_same(part->name, "parameter")                           ? t->parameter_count
-                                                                        : 0;
+    return part->form == SCHEMA_EACH || part->form == SCHEMA_POSITIONS         ? longest(t)
+           : part->form == SCHEMA_CHANNELS || part->form == SCHEMA_SETS        ? sets_of(list)
+           : part->kind != SCHEMA_LIST && list != NULL                         ? count_of(list)
+           : is_same(part->name, "medium")                                     ? t->medium_count
+           : part->structure == &schema_structures[SCHEMA_STRUCTURE_parameter] ? t->parameter_count
+                                                                               : 0;
   }
   return is_same(field->name, "numbers")       ? numbers_of(t)
          : is_same(field->name, "point_count") ? longest(t)
@@ -819,8 +826,7 @@ static bool is_known(const schema_message *message, const char *key) {
   return shown_field(message, key) != NULL || strcmp(key, "deadline_ms") == 0 ||
          (media && (strcmp(key, "medium") == 0 || schema_field_of(&medium_alone, key) != NULL)) ||
          (message->type == WIRE_TYPE_FIT && strcmp(key, "reference") == 0) ||
-         (schema_field_of(message->request, "parameter_count") != NULL &&
-          core_choice_by_name(core_parameter_list, key) != NULL);
+         core_choice_by_name(http_request_numbers(message->request), key) != NULL;
 }
 
 /* Returns whether an error can name a key: a short text of printable ASCII. */

@@ -18,6 +18,10 @@ wire_error http_request_translate(const schema_message *message, char *text, siz
 const schema_part *http_request_list(const schema_payload *request, unsigned index,
                                      const char **name);
 
+/* Returns the list of the optional numbers that a request may have as fields: parameters, or the
+ * properties of a tissue. It may be empty. */
+const core_choice *http_request_numbers(const schema_payload *request);
+
 /* Returns how many media a request may have: 0, 1 or UINT_MAX. */
 unsigned http_request_media(const schema_payload *request);
 

@@ -268,6 +268,13 @@ def fit_layers_payload(
     return wire.FIT_LAYERS_REQUEST.pack(**fields | fixed) + media_bytes(media) + arrays.tobytes()
 
 
+def tissue_payload(properties=((32, 1.0), (33, 1.0), (3, 0.7)), wavelengths=(650.0, 850.0), **fixed: int) -> bytes:
+    """Makes the payload of a tissue request, of water that scatters. Counts fit unless `fixed` has others."""
+    fields = {"tissue": 0, "haemoglobin": 1, "property_count": len(properties), "wavelength_count": len(wavelengths)}
+    lists = parameters_bytes(properties) + np.asarray(wavelengths, "<f8").tobytes()
+    return wire.TISSUE_REQUEST.pack(**fields | fixed) + lists
+
+
 def ask(connection: Connection, type: int, payload: bytes = b"", request_id: int = 77) -> Frame:
     """Sends one request and waits for one frame."""
     connection.send_bytes(frame(type, request_id, payload))

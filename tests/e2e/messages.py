@@ -40,7 +40,7 @@ SAMPLES = {name: EXAMPLES[f"{name}-request"][wire.HEADER.bytes :] for name in wi
 
 # The roles without which certificates are refused, by message; others need none.
 ROLES = {
-    **dict.fromkeys(["eval", "offers", "sample", "invert", "varying"], "evaluate"),
+    **dict.fromkeys(["eval", "offers", "sample", "invert", "varying", "tissue"], "evaluate"),
     **dict.fromkeys(["table", "mc", "fit", "fit_layers", "points", "gather"], "compute"),
     "statistics": "observe",
 }
@@ -215,6 +215,7 @@ CALLS: dict[str, tuple[list[Any], dict[str, Any]]] = {
     "invert": (["better", [0.2, 0.8], 1.5], {}),
     "fit": (["better", RADII, np.exp(-RADII), 0.01 * np.exp(-RADII)], {"eta": 1.4}),
     "fit_layers": ([(0, 0.74, 0, 1.3), ["sigma_a_1"], [3.0], [2.7e-3], [1e-5]], {}),
+    "tissue": ([[650, 850], "liver", {"hbo2_uM": 100.0}], {"haemoglobin": "ucl"}),
     "varying": (["better"], {"sigma_a": [0.1, 0.2], "sigma_s": 1.0, "r": [[0.5], [1.0]]}),
     "gather": (["better", FOUR, POINTS_SENT, np.ones((30, 3))], {}),
     "mc": ([SKIN, Grid(0, 4, 5)], {"photons": 20000, "seed": 3}),

@@ -108,9 +108,12 @@ _NAMED = {"fit_model": "model", "phase": "phase"}
 
 
 def parameters_list(
-    info: Info, parameters: Mapping[str, float | str] | None, tolerance: float | None = None
+    info: Info,
+    parameters: Mapping[str, float | str] | None,
+    tolerance: float | None = None,
+    kind: str = "parameter",
 ) -> list[bytes]:
-    """Packs each parameter into its structure. The daemon checks the values."""
+    """Packs each parameter, or property of a tissue, into its structure. The daemon checks the values."""
     structures = []
     all_parameters = dict(parameters or {})
     if tolerance is not None:
@@ -123,8 +126,8 @@ def parameters_list(
         try:
             number = float(value)
         except (TypeError, ValueError) as error:
-            raise ArgumentError(f"parameter {name}: {value!r} is no number") from error
-        parameter = id_of(info, "parameter", name)
+            raise ArgumentError(f"{kind} {name}: {value!r} is no number") from error
+        parameter = id_of(info, kind, name)
         structures.append(wire.PARAMETER.pack(parameter=parameter, value=number))
     return structures
 

@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable, Coroutine
 from typing import TYPE_CHECKING, Any, Concatenate, Generic, ParamSpec, Protocol, TypeVar, overload
 
-from . import broadcast, evaluation, fitting, gathering, inversion, rings, values, wire
+from . import broadcast, evaluation, fitting, gathering, inversion, rings, tissues, values, wire
 from . import mc as walking
 from . import varying as textures
 from .errors import ArgumentError, ProtocolError
@@ -155,6 +155,7 @@ class Calls:
     invert = Call(inversion.invert)
     fit = Call(fitting.fit)
     fit_layers = Call(fitting.fit_layers)
+    tissue = Call(tissues.tissue)
     varying = Call(textures.varying)
     gather = Call(gathering.gather)
     mc = Call(walking.mc)

@@ -2,11 +2,12 @@
 
 MESSAGES = {"hello": 1, "eval": 2, "media": 3, "statistics": 4, "ping": 5, "mc": 6, "cancel": 7,
     "table": 8, "offers": 9, "sample": 10, "invert": 11, "fit": 12, "varying": 13, "points": 14,
-    "gather": 15, "fit_layers": 16}
+    "gather": 15, "fit_layers": 16, "tissue": 17}
 
 KINDS = {1: "model", 2: "evaluator", 3: "moments", 4: "quantity", 5: "spacing", 6: "status",
     7: "parameter", 8: "note", 9: "draw", 10: "length", 11: "phase", 12: "scale", 13: "axis",
-    14: "fit_status", 15: "light", 16: "value", 17: "coefficient", 18: "unknown"}
+    14: "fit_status", 15: "light", 16: "value", 17: "coefficient", 18: "unknown", 19: "property",
+    20: "haemoglobin", 21: "tissue"}
 
 STATUSES = {0: "ok", 1: "bad-magic", 2: "bad-version", 3: "bad-type", 4: "bad-length",
     5: "bad-count", 6: "bad-value", 7: "too-large", 8: "truncated", 9: "timeout", 10: "busy",
@@ -87,6 +88,8 @@ fit_layers_request: u16 scale, u16 unknowns, u32 layer_count, u32 reading_count,
 fit_layers_reply: u16 status, u16 unknowns, u32 reading_count, u64 evaluations, f64 factor,
     f64 factor_error, f64 chi_squared, f64 reduced_chi_squared, f64 numerical_error
 estimate: u16 unknown, u16 status, u32 zero, f64 value, f64 error
+tissue_request: u16 tissue, u16 haemoglobin, u32 property_count, u32 wavelength_count, u32 zero
+tissue_reply: u16 haemoglobin, u16 zero, u32 wavelength_count
 error: u16 status, u16 zero, u32 retry_after_ms, u64 index, text field[32], text allowed[80]
 """
 
@@ -128,6 +131,9 @@ fit_layers_request: fit_layers_request; medium medium[layer_count]; f64 at[readi
     f64 values[reading_count]; f64 errors[reading_count]
 fit_layers_reply: fit_layers_reply; estimate estimates[unknowns&65535];
     f64 residuals[reading_count]
+tissue_request: tissue_request; parameter property[property_count];
+    f64 wavelength[wavelength_count]
+tissue_reply: tissue_reply; medium media[wavelength_count]
 varying_request: varying_request; parameter parameter[parameter_count];
     real sigma_a[value_count] if given is 0; real colour[value_count] unless given is 0;
     real sigma_s[value_count] if given is 0; real length[value_count] unless given is 0;

@@ -1,0 +1,82 @@
+/* Tissue: the media of a tissue at wavelengths. */
+#include "core/tissue/tissue.h"
+
+#include <math.h>
+
+#include "server/jobs/job.h"
+
+struct tissue_job {
+  struct job job;
+  core_tissue tissue;
+  const double *wavelengths; /* [count], in the payload */
+  uint32_t count;
+};
+
+JOB_STRUCTURE(struct tissue_job, tissue_of)
+
+/* Sets the properties: those of the request, else of the tissue with a name. */
+static wire_error read_tissue(struct tissue_job *of, const uint8_t *payload,
+                              const schema_layout *layout) {
+  wire_tissue_request fixed;
+  double given[CORE_PROPERTIES_END];
+  wire_get_tissue_request(payload, &fixed);
+  of->tissue = core_tissue_named(fixed.tissue);
+  of->tissue.haemoglobin = fixed.haemoglobin;
+  of->wavelengths = (const void *)(payload + layout->parts[1].at);
+  of->count = fixed.wavelength_count;
+  for (size_t id = 0; id < CORE_PROPERTIES_END; id++) {
+    given[id] = (double)NAN;
+  }
+  const wire_error error = schema_parse_numbers(payload + layout->parts[0].at, fixed.property_count,
+                                                core_properties, given);
+  for (size_t id = 0; id < CORE_PROPERTIES_END; id++) {
+    of->tissue.value[id] = isnan(given[id]) ? of->tissue.value[id] : given[id];
+  }
+  return error;
+}
+
+/* Finds the first fault at a wavelength. */
+static core_fault check_wavelengths(const struct tissue_job *of) {
+  core_fault fault = core_tissue_check(&of->tissue);
+  for (uint32_t i = 0; fault.field == NULL && i < of->count; i++) {
+    core_medium medium;
+    fault = core_tissue_medium(&of->tissue, of->wavelengths[i], &medium);
+    fault.index = i;
+  }
+  return fault;
+}
+
+static enum job_outcome start_tissue(struct job *job, const struct job_request *from) {
+  struct tissue_job *of = tissue_of(job);
+  schema_layout layout;
+  wire_error error =
+      schema_check(&schema_tissue_request, from->payload, from->header->payload_bytes, &layout);
+  if (error.status == WIRE_STATUS_OK) {
+    error = read_tissue(of, from->payload, &layout);
+  }
+  if (error.status == WIRE_STATUS_OK) {
+    error = job_error(check_wavelengths(of));
+  }
+  if (error.status != WIRE_STATUS_OK) {
+    return job_refuse(job, error);
+  }
+  job->part_bytes = WIRE_BYTES_tissue_reply + (uint64_t)of->count * WIRE_BYTES_medium;
+  return job->part_bytes > job->context->server->options.max_frame_bytes
+             ? job_refuse(job, wire_error_make(WIRE_STATUS_TOO_LARGE, "wavelength_count",
+                                               "fewer: this reply exceeds max_frame_bytes"))
+             : JOB_NEXT_PART;
+}
+
+static enum job_outcome put_tissue(struct job *job, uint8_t *at) {
+  const struct tissue_job *of = tissue_of(job);
+  const wire_tissue_reply fixed = {.haemoglobin = (uint16_t)of->tissue.haemoglobin,
+                                   .wavelength_count = of->count};
+  core_medium *media = (void *)(at + WIRE_BYTES_tissue_reply);
+  wire_put_tissue_reply(at, &fixed);
+  for (uint32_t i = 0; i < of->count; i++) {
+    core_tissue_medium(&of->tissue, of->wavelengths[i], &media[i]); /* was checked */
+  }
+  return JOB_DONE;
+}
+
+const struct job_kind job_kind_TISSUE = {.start = start_tissue, .begin_part = put_tissue};
