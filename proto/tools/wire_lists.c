@@ -4,6 +4,7 @@
 #include <stdio.h>
 #include <string.h>
 
+#include "core/tissue/tissue.h"
 #include "core/varying.h"
 #include "proto/registers.h"
 #include "proto/schema.h"
@@ -89,6 +90,23 @@ static void put_registers(void) {
   print_form("],");
 }
 
+static void put_spectra(void) {
+  const char *between = "";
+#define ANY "all"
+#define PRAHL "prahl"
+#define UCL "ucl"
+#define CORE_SPECTRUM(PROPERTY, HAEMOGLOBIN, from_nm, to_nm, factor, source, ...)                  \
+  print_form("%r[%s,%u,%u,%s,%s]", between,                                                        \
+             core_choice_by_id(core_properties, CORE_PROPERTY_##PROPERTY)->name, U(from_nm),       \
+             U(to_nm), source, HAEMOGLOBIN);                                                       \
+  between = ",";
+#define CORE_FORMULA(PROPERTY, from_nm, to_nm, per_mm, source)                                     \
+  CORE_SPECTRUM(PROPERTY, ANY, from_nm, to_nm, 1, source, 0)
+  print_form("'spectra':[");
+#include "core/tissue/spectra.def"
+  print_form("],");
+}
+
 static void put_structures(void) {
   print_form("'structures':{");
   for (int i = 0; i < SCHEMA_STRUCTURES; i++) {
@@ -156,6 +174,7 @@ static void put_payload(const schema_payload *payload) {
 int main(void) {
   print_form("{");
   put_registers();
+  put_spectra();
   put_structures();
   print_form("'messages':{");
 #define WIRE_MESSAGE(type, IDENT, name, ...) print_form("'" name "':%u,", U(type));

@@ -1,8 +1,8 @@
 """Writes the tables of the wire's structures and statuses into the blocks ```table NAMES of
 PROTOCOL.md, those of the register map between the markers of REGISTERS.md, and the messages,
-structures and lists for Python into schema.py, all from what wire-lists prints.
+structures and lists for Python into schema.py, spectra into TISSUE.md, all from what wire-lists prints.
 
-usage: wire-lists | wire_tables.py PROTOCOL.md REGISTERS.md schema.py
+usage: wire-lists | wire_tables.py PROTOCOL.md REGISTERS.md schema.py TISSUE.md
 """
 
 import json
@@ -161,6 +161,19 @@ def write_registers(path: Path) -> None:
     path.write_text(before + begin + tables + end + rest.partition(end)[2])
 
 
+PROPERTIES = [name for _, kind, entries in LISTS["lists"] if kind == "property" for _, name in entries]
+
+
+def write_spectra(path: Path) -> None:
+    begin, end = "<!-- spectra: begin -->\n", "<!-- spectra: end -->\n"
+    before, _, rest = path.read_text().partition(begin)
+    table = "| property | nm | source |\n|---|---|---|\n" + "".join(
+        f"| {name} | {first}-{last} | {source}{'' if table == 'all' else f': {table}'} |\n"
+        for name, first, last, source, table in sorted(LISTS["spectra"], key=lambda one: PROPERTIES.index(one[0]))
+    )
+    path.write_text(before + begin + table + end + rest.partition(end)[2])
+
+
 # ---- Python --------------------------------------------------------------------------------------
 
 
@@ -204,3 +217,4 @@ if __name__ == "__main__":
     write_protocol(Path(sys.argv[1]))
     write_registers(Path(sys.argv[2]))
     write_schema(Path(sys.argv[3]))
+    write_spectra(Path(sys.argv[4]))
