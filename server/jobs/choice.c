@@ -136,11 +136,29 @@ static void describe_cause(const core_choose_request *requested, size_t worst, c
   }
 }
 
+/* Returns the candidate for the least tolerance from which on candidates are known to meet it, up to
+ * the error of the best one: what is solved meets tolerances below the error of the table. */
+static core_candidate least_that_meets(const core_choose_request *requested) {
+  core_choose_request one = *requested;
+  core_candidate best = best_of(requested);
+  double missed = requested->tolerance;
+  for (int halving = 0; halving < 40 && best.error <= 1; halving++) {
+    one.tolerance = sqrt(missed * best.error);
+    const core_candidate candidate = best_of(&one);
+    if (candidate.meets && candidate.error < best.error) {
+      best = candidate;
+    } else {
+      missed = one.tolerance;
+    }
+  }
+  return best;
+}
+
 /* Returns the refusal of a tolerance that no candidate keeps. */
 static wire_error none_meets(const core_choose_request *requested) {
   char allowed[ALLOWED_BYTES], medium[32] = "", least[ROUNDED_BYTES];
   const size_t worst = worst_medium(requested);
-  const core_candidate best = best_of(requested);
+  const core_candidate best = least_that_meets(requested);
   if (requested->media_count > 1) {
     snprintf(medium, sizeof medium, " for medium %zu", worst + 1);
   }
@@ -148,7 +166,7 @@ static wire_error none_meets(const core_choose_request *requested) {
     round_up(least, best.error);
     snprintf(allowed, sizeof allowed, "at least %s%s (best: %s, %s)", least, medium,
              core_choice_by_id(core_models, best.model)->name,
-             core_choice_by_id(core_evaluators, best.evaluator)->name);
+             best.looked_up ? core_choice_by_id(core_evaluators, best.evaluator)->name : "solved");
   } else {
     char cause[48] = "";
     describe_cause(requested, worst, cause, sizeof cause);
@@ -253,7 +271,8 @@ wire_error choice_refusal(const struct choice_state *state, const eval_request *
   if (request->fixed.medium_count > 1) {
     snprintf(medium, sizeof medium, " for medium %" PRIu32, state->worst + 1);
   }
-  snprintf(allowed, sizeof allowed, "at least %s%s (best: transport, solved)", least, medium);
+  snprintf(allowed, sizeof allowed, "at least %s%s (best: transport, solved; else mc)", least,
+           medium);
   wire_error error = wire_error_make(WIRE_STATUS_BAD_VALUE, "tolerance", allowed);
   error.index = state->worst;
   return error;

@@ -222,11 +222,11 @@ per unit of power launched: values times 1 - ((eta - 1) / (eta + 1))^2 = 0.98298
 took transport (f32), the cheapest that keeps the tolerance
 
 $ dipole eval --sigma-a 0.05 --sigma-s 9.5 --g 0.9 --eta 1.4 --tolerance 1e-5 --r 1,2 --format csv
-! dipole eval: bad-value: tolerance: allowed: at least 0.000344 (best: transport, f64) (--tolerance)
+! dipole eval: bad-value: tolerance: allowed: at least 0.000101 (best: transport, solved) (--tolerance)
 ? 1
 
 $ dipole eval --sigma-a 0.05 --sigma-s 9.5 --g 0.9 --eta 1.4 --tolerance 1e-5 --evaluator f32 --r 1,2
-! dipole eval: bad-value: tolerance: allowed: at least 0.000344 (best: transport, f32) (--tolerance)
+! dipole eval: bad-value: tolerance: allowed: at least 0.000101 (best: transport, solved) (--tolerance)
 ? 1
 
 ## Parameters and notes.
@@ -470,9 +470,9 @@ $ for one in '--tolerance 1e-9' '--tolerance 2' '--tolerance .1 --eta 0' '--tole
 1
 1
 1
-! dipole eval: bad-value: tolerance: allowed: at least ... (best: transport, f64) (--tolerance)
+! dipole eval: bad-value: tolerance: allowed: at least 3.22e-06 (best: transport, f64) (--tolerance)
 ! dipole eval: bad-value: tolerance: allowed: 1e-12 to 1 (--tolerance)
 ! dipole eval: bad-value: eta: allowed: 0.001 to 1000 (--eta)
 ! dipole eval: bad-value: r number 2 of 2: allowed: 0 to infinity, in mm (--r)
 ! dipole eval: bad-value: radius_stop: allowed: at least radius_start, finite (--to)
-! dipole eval: bad-value: tolerance: allowed: at least ... (best: transport, f64) (--tolerance)
+! dipole eval: bad-value: tolerance: allowed: at least 0.000101 (best: transport, solved) (--tolerance)

@@ -54,8 +54,8 @@ def test_offers_where_nothing_keeps_the_tolerance(client):
     assert caught.value.field == "tolerance" and "(best: transport, " in caught.value.allowed
 
 
-DENSE = (0.4, 11.0, 0.85, 1.4)  # beyond 10 mean free paths at 4.88 mm
-THREE = [(0.05, 7.0, 0.85, 1.4), DENSE, (0.15, 9.0, 0.85, 1.4)]
+FAR = (4.0, 16.0, 0.0, 1.4)  # 60 decay lengths at 5 mm, where the error grows
+THREE = [(0.05, 1.0, 0.0, 1.4), FAR, (0.15, 1.4, 0.0, 1.4)]
 REFUSAL = r"at least (\S+) for medium %d \(best: transport, (?:lut|f32|f64)\)"
 
 
@@ -67,7 +67,7 @@ def refusal(client, media, radii, **how) -> python_client.Refused:
 
 
 @pytest.mark.parametrize("evaluator", ["f64", "f32", "lut"])
-@pytest.mark.parametrize("tolerance", [1e-8, 9e-5])
+@pytest.mark.parametrize("tolerance", [1e-8, 9e-7])
 def test_the_least_that_a_refusal_quotes_is_accepted(client, evaluator, tolerance):
     how = {"evaluator": evaluator, "wanted": ["R", "albedo"]}
     error = refusal(client, THREE, [0.05, 5.0], tolerance=tolerance, **how)
@@ -76,6 +76,16 @@ def test_the_least_that_a_refusal_quotes_is_accepted(client, evaluator, toleranc
     assert error_of(client.eval(None, THREE, [0.05, 5.0], tolerance=float(least[1]), **how)) <= 1
     lower = refusal(client, THREE, [0.05, 5.0], tolerance=0.9 * tolerance, **how)
     assert lower.allowed.startswith(least[0])
+
+
+def test_a_refusal_quotes_what_solving_reaches(client):
+    medium = (0.05, 7.0, 0.85, 1.4)
+    stored = error_of(client.eval("transport", medium, [1.0]))
+    error = refusal(client, medium, [1.0], tolerance=1e-8)
+    least = re.match(r"at least (\S+) \(best: transport, solved\)", error.allowed)
+    assert float(least[1]) < stored
+    _, taken = client.offers(medium, [1.0], tolerance=float(least[1]))
+    assert taken is not None and taken.meets
 
 
 def test_a_medium_whose_error_nothing_bounds_is_named(client):
