@@ -205,6 +205,9 @@ enum dipole_kind {
   DIPOLE_VALUE,
   DIPOLE_COEFFICIENT,
   DIPOLE_UNKNOWN,
+  DIPOLE_PROPERTY,
+  DIPOLE_HAEMOGLOBIN,
+  DIPOLE_TISSUE,
 };
 
 typedef struct dipole_choice {
@@ -726,6 +729,29 @@ bool dipole_fit_layers(dipole_client *client, const dipole_layers_query *query,
                        dipole_layers_fit **fit, dipole_error *error);
 
 void dipole_layers_fit_free(dipole_layers_fit *fit); /* fit may be NULL */
+
+/* ---- tissues ------------------------------------------------------------------------------- */
+
+/* Published tables of the absorption of haemoglobin, which differ by up to 31 %: say with results
+ * which one it was. */
+enum dipole_haemoglobin { DIPOLE_PRAHL = 1, DIPOLE_UCL = 2 };
+
+typedef struct dipole_tissue_query {
+  unsigned tissue;      /* dipole_id(client, DIPOLE_TISSUE, name), or 0 for none */
+  unsigned haemoglobin; /* enum dipole_haemoglobin */
+  /* What differs from that tissue: numbers by id, as dipole_id(client, DIPOLE_PROPERTY, "hbo2_uM").
+   * Without a tissue, a_per_mm and b have to be there, and other amounts are 0. */
+  const dipole_parameter *properties;
+  size_t property_count;
+  const double *wavelengths_nm; /* [wavelength_count] */
+  uint32_t wavelength_count;    /* 1 to 1024 */
+  unsigned deadline_ms;         /* as of an eval */
+} dipole_tissue_query;
+
+/* Finds the medium that a tissue is at each wavelength: sets media[wavelength_count]. The daemon
+ * refuses a wavelength at which a spectrum or the scattering law is not known. */
+bool dipole_tissue(dipole_client *client, const dipole_tissue_query *query, dipole_medium *media,
+                   dipole_error *error);
 
 /* ---- tables -------------------------------------------------------------------------------- */
 

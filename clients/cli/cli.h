@@ -91,6 +91,8 @@ typedef struct cli_settings {
   cli_texts medium, channel;
   cli_numbers sigma_a, sigma_s, g, eta, thickness;
   cli_texts layer;
+  cli_texts tissue, wavelengths;
+  const char *haemoglobin;
   cli_texts model;
   const char *moments, *evaluator;
   cli_numbers albedo, mean_free_path, diffuse_mean_free_path, classical_diffuse_path,

@@ -483,8 +483,14 @@ static void put_value(cli_rows *rows, const void *context, size_t index) {
   const cli_eval_model *model = &report->models[profile / report->profile.channel_count];
   const cli_eval_values *values = &report->values[profile];
   const size_t channel = profile % report->profile.channel_count;
+  if (report->profile.wavelengths_nm != NULL) {
+    cli_put_number(rows, report->profile.wavelengths_nm[channel], "wavelength_nm", "wavelength",
+                   "nm");
+  }
   cli_put_text(rows, model->choice->name, "model");
-  cli_put_text(rows, report->profile.names[channel], "channel");
+  if (report->profile.wavelengths_nm == NULL) {
+    cli_put_text(rows, report->profile.names[channel], "channel");
+  }
   cli_put_medium(rows, cli_profile_layers(&report->profile, channel), report->profile.layer_count);
   if (each && report->place_count > 0) {
     cli_put_number(rows, report->places[at], report->place, .unit = unit_of_places(report));
@@ -515,31 +521,49 @@ typedef struct block {
 
 enum { BLOCK_COLUMNS = 12 };
 
+/* Lines of a table are places, and columns channels; with wavelengths it is the other way round. */
+static size_t lines_of(const cli_eval_report *report, bool columns) {
+  return (report->profile.wavelengths_nm != NULL) != columns ? report->profile.channel_count
+                                                             : report->place_count;
+}
+
 /* Returns the models from `first` on that fit into a readable table. */
 static block block_from(const cli_eval_report *report, size_t first) {
-  const size_t columns = report->quantities.count * report->profile.channel_count;
+  const size_t columns = report->quantities.count * lines_of(report, true);
   const size_t count = columns < BLOCK_COLUMNS ? BLOCK_COLUMNS / columns : 1;
   const size_t left = report->model_count - first;
   return (block){report, first, left < count ? left : count};
 }
 
-/* Writes a place, and the values of all quantities, models and channels there. */
-static void put_place(cli_rows *rows, const void *context, size_t index) {
+/* Writes a place or wavelength, and the values of all quantities, models and channels or places. */
+static void put_line(cli_rows *rows, const void *context, size_t index) {
   const block *of = context;
   const cli_eval_report *report = of->report;
-  const size_t channels = report->profile.channel_count;
+  const size_t channels = report->profile.channel_count, each = lines_of(report, true);
+  const double *wavelengths_nm = report->profile.wavelengths_nm;
   /* Shares of 1, radii and logarithms are written without exponent; other values may have one. */
   const unsigned plain =
       DIPOLE_RADIUS | DIPOLE_CDF | DIPOLE_LN_R | DIPOLE_BY_SIGMA_A | DIPOLE_BY_SIGMA_S;
-  cli_put_number(rows, report->places[index], report->place, .unit = unit_of_places(report));
-  for (size_t k = 0; k < report->quantities.count * of->count * channels; k++) {
-    const size_t q = k / (of->count * channels), model = of->first + k / channels % of->count;
+  if (wavelengths_nm != NULL) {
+    cli_put_number(rows, wavelengths_nm[index], "wavelength", .unit = "nm");
+  } else {
+    cli_put_number(rows, report->places[index], report->place, .unit = unit_of_places(report));
+  }
+  for (size_t k = 0; k < report->quantities.count * of->count * each; k++) {
+    const size_t q = k / (of->count * each), model = of->first + k / each % of->count;
+    const size_t channel = wavelengths_nm != NULL ? index : k % each;
+    const size_t place = wavelengths_nm != NULL ? k % each : index;
     const dipole_choice *quantity = report->quantities.items[q];
-    const double *array = report->values[model * channels + k % channels].arrays[q];
+    const double *array = report->values[model * channels + channel].arrays[q];
     char head[128];
-    snprintf(head, sizeof head, "%s %s", quantity->name, report->profile.names[k % channels]);
+    if (wavelengths_nm != NULL) {
+      snprintf(head, sizeof head, "%s %.6g %s", quantity->name, report->places[place],
+               unit_of_places(report));
+    } else {
+      snprintf(head, sizeof head, "%s %s", quantity->name, report->profile.names[channel]);
+    }
     if (array != NULL) {
-      cli_put_number(rows, array[index], head, .unit = quantity->about,
+      cli_put_number(rows, array[place], head, .unit = quantity->about,
                      .format = (quantity->id & plain) != 0 ? "%.6g" : "%.4e",
                      .over = report->models[model].choice->name);
     }
@@ -551,11 +575,12 @@ static void write_table(const void *context) {
   const cli_profile *profile = &report->profile;
   for (size_t first = 0; report->place_count > 0 && first < report->model_count;) {
     const block models = block_from(report, first);
-    cli_rows_print(stdout, 0, report->place_count, put_place, &models);
+    cli_rows_print(stdout, 0, lines_of(report, false), put_line, &models);
     putchar('\n');
     first += models.count;
   }
-  cli_rows_print(stdout, 2, report->model_count * profile->channel_count, put_value, report);
+  cli_rows_print(stdout, profile->wavelengths_nm != NULL ? 0 : 2,
+                 report->model_count * profile->channel_count, put_value, report);
   fputs("numerical error: at most, against the model's formula", stdout);
   if (report->draw == NULL && report->most > 0) {
     printf(", up to %s = %.6g %s", report->place, report->most, unit_of_places(report));

@@ -29,6 +29,7 @@ static const struct {
     {DIPOLE_AXIS, "axes"},
     {DIPOLE_FIT_STATUS, "fit statuses"},
     {DIPOLE_VALUE, "value statuses"},
+    {DIPOLE_HAEMOGLOBIN, "haemoglobins"},
 };
 
 /* Something that is known about the daemon. */

@@ -38,6 +38,7 @@ static const cli_option options[] = {
 
 typedef struct report {
   const dipole_info *info;
+  const cli_profile *profile;
   const char *medium;   /* name of the measured medium; NULL: none, or several */
   const char *channel;  /* the name of the channel */
   const cli_numbers *r; /* radii for `dipole fit`; none: rings are written */
@@ -114,6 +115,7 @@ static void make_query(const cli_settings *settings, const cli_profile *profile,
                        report *of) {
   const bool measured = profile->medium != NULL;
   of->info = profile->info;
+  of->profile = profile;
   of->medium = measured && strchr(profile->medium, ',') == NULL ? profile->medium : NULL;
   of->channel = profile->names[channel];
   of->parameters = profile->parameters;
@@ -337,6 +339,7 @@ static void put_facts(cli_rows *rows, const void *context, size_t index) {
   const report *last = &all->items[all->count - 1];
   (void)index;
   cli_put_text(rows, last->info->software, "software", .forms = CLI_IN_JSON);
+  cli_put_tissue(rows, last->profile);
   cli_put_text(rows, ends[last->result->end], "ended_by", "Monte Carlo, ended by");
   cli_put_count(rows, last->result->last.photons, "photons");
   cli_put_number(rows, last->result->last.error_total, "error_total", "error of the total R", NULL,

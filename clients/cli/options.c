@@ -130,10 +130,11 @@ const cli_option *cli_options_of(const cli_command *command) {
 /* Fields of requests whose options have other names. */
 static const struct {
   const char *field, *option;
-} renamed[] = {
-    {"radius_start", "from"},  {"radius_stop", "to"},      {"radius_count", "count"},
-    {"sample_count", "count"}, {"sample_first", "first"},  {"ring_count", "rings"},
-    {"error_rings", "error"},  {"albedo_count", "albedo"}, {"error_total", "total-error"}};
+} renamed[] = {{"radius_start", "from"},       {"radius_stop", "to"},
+               {"radius_count", "count"},      {"sample_count", "count"},
+               {"sample_first", "first"},      {"ring_count", "rings"},
+               {"error_rings", "error"},       {"albedo_count", "albedo"},
+               {"error_total", "total-error"}, {"wavelength", "wavelengths"}};
 
 /* Returns whether an option has the name of a field, where - stands for _. */
 static bool is_same_name(const char *option, const char *field) {

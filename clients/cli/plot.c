@@ -118,7 +118,8 @@ static cli_curve *add_curve(cli_picture *picture, const cli_eval_report *report,
   curve->x = report->places;
   if (profile->channel_count > 1) {
     snprintf(curve->title, sizeof curve->title, "%s, %s%s", name,
-             profile->medium != NULL ? "" : "channel ", profile->names[channel]);
+             profile->medium != NULL || profile->tissue != NULL ? "" : "channel ",
+             profile->names[channel]);
   } else {
     snprintf(curve->title, sizeof curve->title, "%s", name);
   }
@@ -130,6 +131,8 @@ static void write_title(const cli_profile *profile, char *text, size_t bytes) {
   const dipole_medium *medium = &profile->media[0];
   if (profile->medium != NULL) {
     snprintf(text, bytes, "%s", profile->medium);
+  } else if (profile->tissue != NULL) {
+    snprintf(text, bytes, "%s, haemoglobin by %s", profile->tissue, profile->haemoglobin->name);
   } else if (profile->layer_count > 1) {
     snprintf(text, bytes, "%u layers", profile->layer_count);
   } else {

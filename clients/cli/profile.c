@@ -37,6 +37,7 @@ const cli_option cli_layer_options[] = {
      "in place of all this: a layer of a stack, from the top down; repeat it for each. A last one "
      "without thickness (mm) is a half space. transport and mc take stacks",
      CLI_FILES, offsetof(cli_settings, layer), NULL, "SIGMA_A,SIGMA_S,G,ETA[,THICKNESS]"},
+    CLI_TISSUE_OPTIONS,
     {0},
 };
 
@@ -169,7 +170,7 @@ const char *const cli_colours[CLI_COLOURS] = {"red", "green", "blue"};
 bool cli_medium_given(const cli_settings *settings) {
   return settings->medium.count > 0 || settings->channel.count > 0 || settings->sigma_a.count > 0 ||
          settings->sigma_s.count > 0 || settings->g.count > 0 || settings->eta.count > 0 ||
-         settings->thickness.count > 0 || settings->layer.count > 0;
+         settings->thickness.count > 0 || settings->layer.count > 0 || settings->tissue.count > 0;
 }
 
 bool cli_layer_read(const char *text, dipole_medium *layer) {
@@ -233,6 +234,12 @@ size_t cli_colour(const char *name) {
 }
 
 int cli_medium_check(const cli_settings *settings) {
+  if (settings->tissue.count > 0) {
+    return cli_tissue_check(settings);
+  }
+  if (settings->wavelengths.count > 0) {
+    return cli_fail_usage("--wavelengths are those of a tissue: give --tissue too");
+  }
   if (settings->layer.count > 0) {
     return check_layers(settings);
   }
@@ -419,7 +426,13 @@ void cli_profile_set_channels(cli_profile *profile, size_t count, uint32_t layer
 
 int cli_profile_take(const cli_settings *settings, dipole_client *client, cli_profile *profile) {
   size_t count;
-  if (!cli_profile_take_names(settings, client, profile) || !count_channels(settings, &count)) {
+  if (!cli_profile_take_names(settings, client, profile)) {
+    return CLI_USAGE;
+  }
+  if (settings->tissue.count > 0) {
+    return cli_tissue_take(settings, client, profile);
+  }
+  if (!count_channels(settings, &count)) {
     return CLI_USAGE;
   }
   return take_media(settings, client, count, profile);
@@ -472,6 +485,13 @@ void cli_put_parameters(cli_rows *rows, const dipole_info *info, const cli_param
   }
 }
 
+void cli_put_tissue(cli_rows *rows, const cli_profile *profile) {
+  if (profile->tissue != NULL) {
+    cli_put_text(rows, profile->tissue, "tissue", "");
+    cli_put_text(rows, profile->haemoglobin->name, "haemoglobin", "haemoglobin by");
+  }
+}
+
 void cli_put_profile(cli_rows *rows, const cli_profile *profile) {
   const struct {
     const char *name;
@@ -482,6 +502,7 @@ void cli_put_profile(cli_rows *rows, const cli_profile *profile) {
   if (profile->medium != NULL) {
     cli_put_text(rows, profile->medium, "medium", "");
   }
+  cli_put_tissue(rows, profile);
   for (size_t i = 0; i < sizeof choices / sizeof choices[0]; i++) {
     if (choices[i].choice != NULL) {
       cli_put_text(rows, choices[i].choice->name, choices[i].name);

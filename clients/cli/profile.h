@@ -67,6 +67,20 @@ extern const cli_option cli_layer_options[];
       CLI_OPTION(SWITCH, specular, NULL,                                                           \
                  "the colours contain what the surface itself reflects (Fresnel)")
 
+#define CLI_TISSUE_OPTIONS                                                                         \
+  {"tissue",                                                                                       \
+   "in place of all this: a tissue by name, properties, or both, as liver,hbo2=100; `dipole "      \
+   "tissue` lists them. Several are layers, from the top down, with thickness=MM",                 \
+   CLI_FILES,                                                                                      \
+   offsetof(cli_settings, tissue),                                                                 \
+   NULL,                                                                                           \
+   "[NAME][,PROPERTY=X]..."},                                                                      \
+      {"wavelengths", "for --tissue: the channels, nm",                                            \
+       CLI_NAMES,     offsetof(cli_settings, wavelengths),                                         \
+       NULL,          "NM[,NM...] or FROM:TO:STEP"},                                               \
+      CLI_OPTION(TEXT, haemoglobin, "prahl",                                                       \
+                 "for --tissue: the table of its absorption, prahl or ucl")
+
 /* Returns the linear value of an sRGB value from 0 to 1 (IEC 61966-2-1). */
 double cli_srgb_to_linear(double value);
 
@@ -83,6 +97,9 @@ const char *cli_usual_evaluator(const cli_settings *settings, const char *model)
 
 /* Checks the options of the medium without a daemon, and returns an exit status. */
 int cli_medium_check(const cli_settings *settings);
+
+/* The same for the options of a tissue (clients/cli/tissue.c). */
+int cli_tissue_check(const cli_settings *settings);
 
 /* Returns whether any option of the medium, or of the parameters, is given. */
 bool cli_medium_given(const cli_settings *settings);
@@ -131,6 +148,9 @@ typedef struct cli_profile {
   const dipole_choice *model, *moments, *evaluator; /* NULL: the settings do not name it */
   cli_parameters parameters;
   const char *medium; /* names of measured media, as given; NULL if there are none */
+  const char *tissue; /* as given, and what it has; NULL: the media are no tissue */
+  const dipole_choice *haemoglobin;
+  const double *wavelengths_nm; /* [channel_count] */
   size_t channel_count;
   char (*names)[CLI_CHANNEL_BYTES]; /* [channel_count] names of the channels */
   uint32_t layer_count;             /* of each medium */
@@ -160,6 +180,10 @@ bool cli_profile_take_names(const cli_settings *settings, dipole_client *client,
  * status. */
 int cli_profile_take(const cli_settings *settings, dipole_client *client, cli_profile *profile);
 
+/* Sets the media of a tissue, of a profile whose info is there: a channel for each wavelength. Says what
+ * is wrong and returns an exit status. */
+int cli_tissue_take(const cli_settings *settings, dipole_client *client, cli_profile *profile);
+
 /* Sets the numbers of channels and of layers and allocates the channels' arrays. */
 void cli_profile_set_channels(cli_profile *profile, size_t count, uint32_t layer_count);
 
@@ -184,6 +208,9 @@ bool cli_quantities_take(const dipole_info *info, const cli_texts *names, unsign
 /* Writes what all reports begin with: the software in JSON, the medium if it is measured, the model,
  * evaluator and moments that are set, and the parameters. */
 void cli_put_profile(cli_rows *rows, const cli_profile *profile);
+
+/* Writes the tissue and its table of haemoglobin, if the media are one. */
+void cli_put_tissue(cli_rows *rows, const cli_profile *profile);
 
 /* Writes parameters, which the daemon lists. */
 void cli_put_parameters(cli_rows *rows, const dipole_info *info, const cli_parameters *parameters);

@@ -22,6 +22,7 @@ Commands
   gather   Sum the light that points leave at other positions
   table    Fetch tables of a medium, to be evaluated without a daemon
   mc       Walk photons through a medium (Monte Carlo): R(r) with standard errors
+  tissue   Show the coefficients of a tissue at wavelengths, or list tissues
   media    List the media with names: their coefficients, or layers
   info     Show a daemon: models, evaluators, instruction set, limits, statistics
   top      Watch a daemon: requests, radii and bytes each second, latencies, queues
@@ -31,11 +32,11 @@ Commands
 `dipole COMMAND --help` describes a command; `dipole --version` prints the version.
 
 $ dipole help evaluate
-! dipole: there is no command 'evaluate'; the commands are eval, plot, points, sample, invert, fit, texture, convert, bake, gather, table, mc, media, info, top, bench, help
+! dipole: there is no command 'evaluate'; the commands are eval, plot, points, sample, invert, fit, texture, convert, bake, gather, table, mc, tissue, media, info, top, bench, help
 ? 2
 
 $ dipole evaluate
-! dipole: there is no command 'evaluate'; the commands are eval, plot, points, sample, invert, fit, texture, convert, bake, gather, table, mc, media, info, top, bench, help
+! dipole: there is no command 'evaluate'; the commands are eval, plot, points, sample, invert, fit, texture, convert, bake, gather, table, mc, tissue, media, info, top, bench, help
 ? 2
 
 $ dipole invert --help

@@ -215,6 +215,7 @@ bake	Bake kernels, lengths and tables of a medium for engines, with their errors
 gather	Sum the light that points leave at other positions
 table	Fetch tables of a medium, to be evaluated without a daemon
 mc	Walk photons through a medium (Monte Carlo): R(r) with standard errors
+tissue	Show the coefficients of a tissue at wavelengths, or list tissues
 media	List the media with names: their coefficients, or layers
 info	Show a daemon: models, evaluators, instruction set, limits, statistics
 top	Watch a daemon: requests, radii and bytes each second, latencies, queues

@@ -432,6 +432,17 @@ static bool ask(dipole_client *client, unsigned type, unsigned how, dipole_error
     }
     return good;
   }
+  case WIRE_TYPE_TISSUE: {
+    dipole_medium found[2];
+    const dipole_parameter water = {.id = 3, .value = 0.7};
+    const dipole_tissue_query tissue = {.tissue = 8,
+                                        .haemoglobin = DIPOLE_PRAHL,
+                                        .properties = &water,
+                                        .property_count = 1,
+                                        .wavelengths_nm = radii,
+                                        .wavelength_count = 2};
+    return dipole_tissue(client, &tissue, found, error);
+  }
   case WIRE_TYPE_VARYING: {
     dipole_varying_result *result;
     const dipole_varying_query varying = {.model = CORE_MODEL_BETTER,
