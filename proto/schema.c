@@ -5,7 +5,7 @@
 #include <stdio.h>
 #include <string.h>
 
-#include "core/fit/fit.h"
+#include "core/fit/spectral.h"
 #include "core/gather/gather.h"
 #include "core/montecarlo/montecarlo.h"
 #include "core/tissue/tissue.h"

@@ -45,14 +45,15 @@ static core_fault check_readings(const core_fit_design *design) {
   return (core_fault){0};
 }
 
-/* Returns the g for which transport is evaluated, given g or gamma. parameters may be NULL. */
-static double taken_g(const core_parameters *parameters, double g) {
-  const double gamma = parameters != NULL ? parameters->value[CORE_PARAMETER_GAMMA] : (double)NAN;
+/* Returns the g for which transport is evaluated, given g or gamma. */
+static double taken_g(const core_fit_design *design, double g) {
+  const double gamma =
+      design->parameters != NULL ? design->parameters->value[CORE_PARAMETER_GAMMA] : (double)NAN;
   return isnan(gamma) ? g : gamma - 1;
 }
 
 static bool has_shares(const core_fit_design *design, double g, double eta) {
-  const double taken = taken_g(design->parameters, g);
+  const double taken = taken_g(design, g);
   return taken >= 0 && taken <= FIT_APERTURE_G_MOST && eta >= FIT_APERTURE_ETA_LEAST &&
          eta <= FIT_APERTURE_ETA_MOST;
 }
@@ -86,11 +87,9 @@ static core_fault check_stored(const core_fit_design *design) {
   if (design->thickness_mm > 0 || reference->thickness_mm > 0) {
     return (core_fault){"thickness", "0, a half space: fits of transport have no slabs yet", 0};
   }
-  const core_fault fault =
-      core_transport_stored_check(taken_g(design->parameters, design->g), design->eta);
+  const core_fault fault = core_transport_stored_check(taken_g(design, design->g), design->eta);
   return fault.field == NULL && design->scale == CORE_FIT_SCALE_REFERENCE
-             ? core_transport_stored_check(taken_g(design->parameters, reference->g),
-                                           reference->eta)
+             ? core_transport_stored_check(taken_g(design, reference->g), reference->eta)
              : fault;
 }
 
@@ -180,14 +179,13 @@ CORE_ISA_LEVELS(DECLARE, )
 #define LOOPS_OF(level, unused) [INDEX_##level] = &fit_loops_##level,
 static const fit_loops *const loops[LEVELS] = {CORE_ISA_LEVELS(LOOPS_OF, )};
 
-/* Makes the model detect the light within its aperture alone, of media with this g and eta. */
-static void set_medium(struct fit_model *model, double g, double eta, double thickness_mm) {
-  model->g = g;
-  model->eta = eta;
-  model->thickness_mm = thickness_mm;
-  model->narrow = model->detector_na > 0 && model->detector_na < real_min(eta, 1);
+/* Makes the model detect the light within the design's aperture alone, of media with this g and
+ * eta. */
+static void set_aperture(struct fit_model *model, const core_fit_design *design, double g,
+                         double eta) {
+  model->narrow = design->detector_na > 0 && design->detector_na < real_min(eta, 1);
   if (model->narrow) {
-    fit_aperture_prepare(&model->aperture, taken_g(&model->parameters, g), eta, model->detector_na);
+    fit_aperture_prepare(&model->aperture, taken_g(design, g), eta, design->detector_na);
   }
 }
 
@@ -199,10 +197,12 @@ static struct fit_model model_of(const core_isa *isa, const core_fit_design *des
       .moments = design->moments,
       .quantity =
           design->axis == CORE_FIT_AXIS_FREQUENCY ? CORE_QUANTITY_TRANSFER : CORE_QUANTITY_R,
+      .g = design->g,
+      .eta = design->eta,
+      .thickness_mm = design->thickness_mm,
       .parameters = design->parameters != NULL ? *design->parameters : core_parameters_none(),
-      .detector_na = design->detector_na,
   };
-  set_medium(&model, design->g, design->eta, design->thickness_mm);
+  set_aperture(&model, design, design->g, design->eta);
   return model;
 }
 
@@ -226,29 +226,29 @@ static void set_bounds(core_fit *fit, const core_fit_design *design) {
                                  real_log(CORE_FIT_NEAR_MAX / (least > 0 ? least : 1), 0)};
 }
 
-core_fault fit_weights_of(const core_fit *fit, const core_medium *reference, double *weight,
-                          double *error) {
-  struct fit_model model = fit->model;
-  set_medium(&model, reference->g, reference->eta, reference->thickness_mm);
-  const core_fault fault = fit_values_of_medium(&model, reference, &fit->places, weight, error);
-  for (size_t i = 0; fault.field == NULL && i < fit->count; i++) {
-    if (!(weight[i] > 1e-300)) {
-      return (core_fault){"reference", "a medium with light at each reading", i};
-    }
-    weight[i] = 1 / weight[i];
-  }
-  return fault;
-}
-
 /* Sets the factor of each reading's model: 1, or the inverse of the reading of the reference
  * medium. */
 static core_fault set_weights(core_fit *fit, const core_fit_design *design) {
   for (size_t i = 0; i < fit->count; i++) {
     fit->weight[i] = 1;
   }
-  return design->scale == CORE_FIT_SCALE_REFERENCE
-             ? fit_weights_of(fit, &design->reference, fit->weight, &fit->reference_error)
-             : (core_fault){0};
+  if (design->scale != CORE_FIT_SCALE_REFERENCE) {
+    return (core_fault){0};
+  }
+  struct fit_model reference = fit->model;
+  reference.g = design->reference.g;
+  reference.eta = design->reference.eta;
+  reference.thickness_mm = design->reference.thickness_mm;
+  set_aperture(&reference, design, reference.g, reference.eta);
+  const core_fault fault = fit_values_of_medium(&reference, &design->reference, &fit->places,
+                                                fit->weight, &fit->reference_error);
+  for (size_t i = 0; fault.field == NULL && i < fit->count; i++) {
+    if (!(fit->weight[i] > 1e-300)) {
+      return (core_fault){"reference", "a medium with light at each reading", i};
+    }
+    fit->weight[i] = 1 / fit->weight[i];
+  }
+  return fault;
 }
 
 /* Evaluates the readings for each medium of the grid. A medium that the model does not cover gets

@@ -40,11 +40,6 @@ struct core_fit {
 /* Returns the number of readings minus the number of unknowns, or 0. */
 size_t fit_spare(const core_fit *fit);
 
-/* Sets weight[count] to the inverse of the readings of a reference medium, and *error to its model
- * error. Returns the fault of a medium that gives none. */
-core_fault fit_weights_of(const core_fit *fit, const core_medium *reference, double *weight,
-                          double *error);
-
 /* Returns medium i of the grid. */
 struct fit_place fit_grid_place(const core_fit *fit, size_t i);
 

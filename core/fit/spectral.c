@@ -1,5 +1,6 @@
 #include "core/fit/spectral.h"
 
+#include <assert.h>
 #include <math.h>
 #include <stdlib.h>
 
@@ -56,10 +57,9 @@ struct core_spectral {
   const core_fit *fit;
   size_t wavelengths, places, count; /* count: of readings */
   size_t chromophores, unknowns, oxy, deoxy;
-  core_spectral_term terms[CORE_SPECTRAL_TERMS_MAX];
+  core_spectral_term terms[CORE_SPECTRAL_TERMS_MAX]; /* amounts, ln a and b */
   size_t term_of[MOST];
-  double low[MOST], high[MOST]; /* of the unknowns x: amounts, ln a and b */
-  double reference_error;
+  double low[MOST], high[MOST];  /* of the unknowns x: amounts, ln a and b */
   const double *values, *errors; /* the set */
   enum stage stage;
   unsigned evaluations;
@@ -72,9 +72,9 @@ struct core_spectral {
   double *ln_wavelength, *sigma_a;
   struct fit_place *media;
   double *absorption; /* [wavelengths][chromophores] */
-  /* [count]: the factors of the model, its values with them, and derivatives by ln_ratio and by
-   * ln_scattering; logarithms of the readings and of the model, or numerical errors */
-  double *weight, *model, *by_ratio, *by_scattering, *ln_values, *ln_model;
+  /* [count]: the model's values, and derivatives by ln_ratio and by ln_scattering; logarithms of the
+   * readings and of the model, or numerical errors */
+  double *model, *by_ratio, *by_scattering, *ln_values, *ln_model;
 };
 
 /* ---- checking -------------------------------------------------------------------------------- */
@@ -83,124 +83,88 @@ static bool is_sought(const core_spectral_term *term) {
   return term->high > term->low;
 }
 
-static core_fault check_term(const core_spectral_design *design, size_t i) {
+static bool is_valid(const core_spectral_design *design, size_t i) {
   const core_spectral_term *term = &design->terms[i];
   const bool is_a = i == design->chromophore_count, is_b = i > design->chromophore_count;
-  const double least = is_b ? -10 : is_a ? 1e-6 : 0, most = is_b ? 10 : is_a ? 1e6 : 1e9;
-  const bool sought = is_sought(term);
-  const bool inside = term->start >= least && term->start <= most &&
-                      (!sought || (term->low >= least && term->high <= most &&
-                                   term->start >= term->low && term->start <= term->high));
-  return inside ? (core_fault){0}
-                : (core_fault){"terms",
-                               is_b   ? "-10 to 10, start between low and high"
-                               : is_a ? "1e-6 to 1e6 per mm, start between low and high"
-                                      : "0 to 1e9, start between low and high",
-                               i};
+  const double least = is_b ? -10 : is_a ? 1e-6 : 0, most = is_b ? 10 : 1e6;
+  return term->start >= least && term->start <= most &&
+         (!is_sought(term) || (term->low >= least && term->high <= most));
 }
 
 core_fault core_spectral_check(const core_spectral_design *design, size_t places, unsigned scale) {
   const size_t wavelengths = design->wavelength_count, terms = design->chromophore_count + 2;
-  if (wavelengths < 1 || wavelengths > CORE_SPECTRAL_WAVELENGTHS_MAX) {
-    return (core_fault){"wavelengths", "1 to 1024 wavelengths", wavelengths};
-  }
-  if (terms < 3 || terms > CORE_SPECTRAL_TERMS_MAX) {
-    return (core_fault){"terms", "1 to 30 chromophores", terms};
-  }
   size_t unknowns = 0;
+  if (terms > CORE_SPECTRAL_TERMS_MAX) {
+    return (core_fault){"sought", "with what is given 30 chromophores", 0};
+  }
   for (size_t i = 0; i < terms; i++) {
-    const core_fault fault = check_term(design, i);
-    if (fault.field != NULL) {
-      return fault;
+    if (!is_valid(design, i)) {
+      return (core_fault){
+          "sought", "with limits and start from 0 to 1e6, a_per_mm from 1e-6, b from -10 to 10", 0};
     }
     unknowns += is_sought(&design->terms[i]);
   }
   if (unknowns < 1 || unknowns > MOST) {
-    return (core_fault){"terms", "1 to 16 of them sought, with high above low", 0};
+    return (core_fault){"sought", "1 to 16 numbers, with a high above the low", 0};
   }
-  const size_t least = unknowns + (scale == CORE_FIT_SCALE_FREE);
-  if (wavelengths * places < least || wavelengths * places > CORE_SPECTRAL_READINGS_MAX) {
-    return (core_fault){"wavelengths", "as many readings as unknowns in a set, to 4096", 0};
-  }
-  for (size_t l = 0; l < wavelengths; l++) {
-    if (!(design->wavelength_nm[l] >= 100 && design->wavelength_nm[l] <= 1e5)) {
-      return (core_fault){"wavelengths", "100 to 1e5 nm", l};
-    }
-    for (size_t i = 0; i < design->chromophore_count; i++) {
-      const double one = design->absorption_per_mm[l * design->chromophore_count + i];
-      if (!(one >= 0 && one <= 1e9)) {
-        return (core_fault){"wavelengths", "those where each absorption is known", l};
-      }
-    }
+  if (!(wavelengths >= 1 && wavelengths * places >= unknowns + (scale == CORE_FIT_SCALE_FREE) &&
+        wavelengths * places <= CORE_SPECTRAL_READINGS_MAX)) {
+    return (core_fault){"wavelength_count",
+                        "such that a set has as many readings as unknowns, to 4096", 0};
   }
   return (core_fault){0};
 }
 
 /* ---- preparing ------------------------------------------------------------------------------- */
 
-core_fault core_spectral_create(core_spectral **made, const core_fit *places,
-                                const core_spectral_design *design) {
-  const size_t wavelengths = design->wavelength_count, count = wavelengths * places->count;
+core_spectral *core_spectral_create(const core_spectral_design *design, size_t places) {
+  const size_t wavelengths = design->wavelength_count, count = wavelengths * places;
   const size_t chromophores = design->chromophore_count;
-  *made = NULL;
   core_spectral *of = malloc(sizeof *of);
-  double *numbers = malloc(((4 + chromophores) * wavelengths + 6 * count) * sizeof *numbers);
+  double *numbers = malloc(((4 + chromophores) * wavelengths + 5 * count) * sizeof *numbers);
   if (of == NULL || numbers == NULL) {
     free(of);
     free(numbers);
-    return CORE_OUT_OF_MEMORY;
+    return NULL;
   }
-  *of = (core_spectral){.fit = places,
-                        .wavelengths = wavelengths,
-                        .places = places->count,
+  *of = (core_spectral){.wavelengths = wavelengths,
+                        .places = places,
                         .count = count,
                         .chromophores = chromophores,
                         .oxy = design->oxy,
                         .deoxy = design->deoxy,
-                        .reference_error = places->reference_error,
                         .ln_wavelength = numbers,
                         .sigma_a = numbers + wavelengths,
                         .media = (struct fit_place *)(void *)(numbers + 2 * wavelengths),
                         .absorption = numbers + 4 * wavelengths};
-  of->weight = of->absorption + chromophores * wavelengths;
-  of->model = of->weight + count;
+  of->model = of->absorption + chromophores * wavelengths;
   of->by_ratio = of->model + count;
   of->by_scattering = of->by_ratio + count;
   of->ln_values = of->by_scattering + count;
   of->ln_model = of->ln_values + count;
-  memcpy(of->terms, design->terms, (chromophores + 2) * sizeof *of->terms);
   memcpy(of->absorption, design->absorption_per_mm,
          chromophores * wavelengths * sizeof *of->absorption);
+  for (size_t l = 0; l < wavelengths; l++) {
+    of->ln_wavelength[l] = fit_ln(design->wavelength_nm[l] / 500);
+  }
   for (size_t i = 0; i < chromophores + 2; i++) {
-    if (is_sought(&of->terms[i])) {
-      const core_spectral_term *term = &of->terms[i];
-      of->low[of->unknowns] = i == chromophores ? fit_ln(term->low) : term->low;
-      of->high[of->unknowns] = i == chromophores ? fit_ln(term->high) : term->high;
+    core_spectral_term term = design->terms[i];
+    if (i == chromophores) {
+      term = (core_spectral_term){fit_ln(term.start), fit_ln(term.low), fit_ln(term.high)};
+    }
+    of->terms[i] = term;
+    if (is_sought(&design->terms[i])) {
+      of->low[of->unknowns] = term.low;
+      of->high[of->unknowns] = term.high;
       of->term_of[of->unknowns++] = i;
     }
   }
-  core_fault fault = {0};
-  for (size_t l = 0; l < wavelengths && fault.field == NULL; l++) {
-    of->ln_wavelength[l] = fit_ln(design->wavelength_nm[l] / 500);
-    double *weight = of->weight + l * of->places, error = of->reference_error;
-    memcpy(weight, places->weight, of->places * sizeof *weight);
-    if (design->reference != NULL) {
-      fault = fit_weights_of(places, &design->reference[l], weight, &error);
-      fault.index = l;
-    }
-    of->reference_error = error > of->reference_error || isnan(error) ? error : of->reference_error;
-  }
-  if (fault.field != NULL) {
-    core_spectral_free(of);
-  } else {
-    *made = of;
-  }
-  return fault;
+  return of;
 }
 
 void core_spectral_free(core_spectral *spectral) {
   if (spectral != NULL) {
-    free(spectral->ln_wavelength);
+    free(spectral->ln_wavelength); /* and all arrays behind it */
     free(spectral);
   }
 }
@@ -218,7 +182,7 @@ static double term_at(const core_spectral *of, const double *x, size_t i) {
       return x[k];
     }
   }
-  return i == of->chromophores ? fit_ln(of->terms[i].start) : of->terms[i].start;
+  return of->terms[i].start;
 }
 
 /* Sets the media of x. Returns whether one is beyond those that are tried. */
@@ -326,17 +290,10 @@ static bool expand(core_spectral *of, const double *x, bool logarithms, struct q
   memcpy(q->x, x, sizeof q->x);
   of->evaluations++;
   for (size_t l = 0; l < of->wavelengths; l++) {
-    double *model = of->model + l * places, *by_ratio = of->by_ratio + l * places;
-    double *by_scattering = of->by_scattering + l * places;
-    const double *weight = of->weight + l * places;
-    if (fit_values(&of->fit->model, of->media[l], &of->fit->places, model, by_ratio, by_scattering)
+    if (fit_values(&of->fit->model, of->media[l], &of->fit->places, of->model + l * places,
+                   of->by_ratio + l * places, of->by_scattering + l * places)
             .field != NULL) {
       return false;
-    }
-    for (size_t i = 0; i < places; i++) {
-      model[i] *= weight[i];
-      by_ratio[i] *= weight[i];
-      by_scattering[i] *= weight[i];
     }
   }
   if (logarithms) {
@@ -482,8 +439,7 @@ static void compare(core_spectral *of, int i) {
   struct minimum one = {.settled = false};
   for (size_t k = 0; k < of->unknowns; k++) {
     const size_t term = of->term_of[k];
-    const double start =
-        term == of->chromophores ? fit_ln(of->terms[term].start) : of->terms[term].start;
+    const double start = of->terms[term].start;
     one.x[k] = clamp(term < of->chromophores    ? start * amounts[i % 3]
                      : term == of->chromophores ? start + scatterings[i / 3]
                                                 : start,
@@ -525,16 +481,10 @@ static void begin_descent(core_spectral *of, bool logarithms) {
   of->stage = !expand(of, from, logarithms, &of->now) ? BEGINS : logarithms ? COMES_NEAR : SETTLES;
 }
 
-bool core_spectral_begin(core_spectral *of, const double *values, const double *errors,
-                         core_spectral_result *result, double *residuals) {
+/* Sets a result of which nothing is known. */
+static void clear_result(const core_spectral *of, core_fault fault, core_spectral_result *result,
+                         double *residuals) {
   const double none = (double)NAN;
-  core_fault fault = {0};
-  for (size_t i = 0; i < of->count && fault.field == NULL; i++) {
-    fault = !isfinite(values[i]) ? (core_fault){"value", "finite", i}
-            : errors[i] > 0 && isfinite(errors[i])
-                ? fault
-                : (core_fault){"error", "above 0, and finite", i};
-  }
   const core_spectral_estimate unknown = {0, CORE_FIT_STATUS_REFUSED, none, none, none};
   *result = (core_spectral_result){.status = CORE_FIT_STATUS_REFUSED,
                                    .fault = fault,
@@ -547,27 +497,40 @@ bool core_spectral_begin(core_spectral *of, const double *values, const double *
                                    .reduced_chi_squared = none,
                                    .condition = none,
                                    .numerical_error = none,
-                                   .model_error = none};
+                                   .model_error = none,
+                                   .evaluations = of->evaluations};
   for (size_t k = 0; k < of->unknowns; k++) {
     result->unknown[k] = unknown;
     result->unknown[k].term = of->term_of[k];
-  }
-  for (size_t k = 0; k < of->unknowns * of->unknowns; k++) {
-    result->covariance[k] = none;
+    for (size_t j = 0; j < of->unknowns; j++) {
+      result->covariance[k * of->unknowns + j] = none;
+    }
   }
   for (size_t i = 0; residuals != NULL && i < of->count; i++) {
     residuals[i] = none;
   }
-  if (fault.field != NULL) {
-    return false;
-  }
-  of->values = values;
-  of->errors = errors;
-  of->fit->model.loops->logarithms(of->count, values, of->ln_values);
+}
+
+bool core_spectral_begin(core_spectral *of, const core_fit *places, const double *values,
+                         const double *errors, core_spectral_result *result, double *residuals) {
+  assert(places->count == of->places);
+  of->fit = places;
   of->stage = COMPARES;
   of->evaluations = 0;
   of->candidate = 0;
   of->start_count = of->next = of->minimum_count = 0;
+  of->values = values;
+  of->errors = errors;
+  for (size_t i = 0; i < of->count; i++) {
+    const bool known = isfinite(values[i]);
+    if (!known || !(errors[i] > 0 && isfinite(errors[i]))) {
+      const core_fault fault = {known ? "error" : "value", known ? "above 0, and finite" : "finite",
+                                i};
+      clear_result(of, fault, result, residuals);
+      return false;
+    }
+  }
+  of->fit->model.loops->logarithms(of->count, values, of->ln_values);
   return true;
 }
 
@@ -700,8 +663,7 @@ static void set_model_errors(core_spectral *of, core_spectral_result *result) {
   for (size_t l = 0; l < of->wavelengths; l++) {
     double *errors = of->ln_model + l * of->places;
     const core_medium medium = fit_medium(&of->fit->model, of->media[l]);
-    const double error =
-        fit_model_error(&of->fit->model, &medium, &of->fit->places) + of->reference_error;
+    const double error = fit_model_error(&of->fit->model, &medium, &of->fit->places);
     const core_fault fault =
         fit_numerical_errors(&of->fit->model, of->media[l], &of->fit->places, errors);
     result->model_error = error > result->model_error || isnan(error) ? error : result->model_error;
@@ -741,6 +703,7 @@ static void put_result(core_spectral *of, core_spectral_result *result, double *
     best = of->minima[i].chi_squared < best->chi_squared ? &of->minima[i] : best;
   }
   struct found at = {.settled = best->settled};
+  clear_result(of, (core_fault){0}, result, residuals);
   if (of->minimum_count == 0 || !expand(of, best->x, false, &at.q)) {
     result->status = CORE_FIT_STATUS_UNFINISHED;
     return;
@@ -754,7 +717,6 @@ static void put_result(core_spectral *of, core_spectral_result *result, double *
   result->chi_squared = at.q.chi_squared;
   result->reduced_chi_squared = spare > 0 ? at.q.chi_squared / (double)spare : (double)NAN;
   result->condition = condition_of(&at.by, n);
-  result->evaluations = of->evaluations;
   for (size_t k = 0; k < n; k++) {
     put_unknown(of, &at, k, result);
     bound |= result->unknown[k].status == CORE_FIT_STATUS_AT_BOUND;

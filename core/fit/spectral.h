@@ -17,9 +17,8 @@
 #include "core/fit/fit.h"
 
 enum {
-  CORE_SPECTRAL_UNKNOWNS_MAX = 16, /* the factor aside */
-  CORE_SPECTRAL_TERMS_MAX = 32,    /* amounts, a and b, sought or given */
-  CORE_SPECTRAL_WAVELENGTHS_MAX = 1024,
+  CORE_SPECTRAL_UNKNOWNS_MAX = 16,   /* the factor aside */
+  CORE_SPECTRAL_TERMS_MAX = 32,      /* amounts, a and b, sought or given */
   CORE_SPECTRAL_READINGS_MAX = 4096, /* in a set: wavelengths times places */
 };
 
@@ -42,18 +41,16 @@ typedef struct core_spectral_design {
   /* [chromophore_count + 2]: amounts, at least 0; then a in 1/mm, above 0; then b */
   const core_spectral_term *terms;
   size_t oxy, deoxy; /* positions of oxyhaemoglobin and haemoglobin; chromophore_count: none */
-  const core_medium *reference; /* [wavelength_count] what readings are divided by, or NULL */
 } core_spectral_design;
 
 /* What was found of a term, of the saturation or of the total: FITTED; UNDETERMINED (the value is
- * NAN); AT_BOUND (the value is a limit, or depends on one that is); or UNFINISHED (numerical errors of
+ * NAN); AT_BOUND (the value is a limit, or depends on one that is); both without error; or UNFINISHED (numerical errors of
  * R may shift it by more than its standard error, or the search did not settle). */
 typedef struct core_spectral_estimate {
   size_t term; /* position in terms[] */
   enum core_fit_status status;
   double value;
-  double
-      error; /* standard error with all other unknowns free; INFINITY if UNDETERMINED or AT_BOUND */
+  double error;     /* standard, with all other unknowns free; INFINITY if it has none */
   double numerical; /* how far numerical errors of R may shift the value */
 } core_spectral_estimate;
 
@@ -80,26 +77,23 @@ typedef struct core_spectral_result {
   unsigned evaluations;   /* of the model for all readings */
 } core_spectral_result;
 
-/* Returns the fault of a design for this many places. Fields: `wavelengths`, `absorption`, `terms`
- * with the index; `unknown_count`, `reading_count`. */
+/* Returns the fault of a design for this many places. Fields: `sought`, `wavelength_count`. */
 core_fault core_spectral_check(const core_spectral_design *design, size_t places, unsigned scale);
 
 /* A design with what a search needs; one thread uses it at a time. */
 typedef struct core_spectral core_spectral;
 
-/* Prepares a design that core_spectral_check() accepts, which may go; `places` has to stay. Faults:
- * `memory`, `reference` with the index of the wavelength. On a fault *spectral is NULL, else the
- * caller frees it with core_spectral_free(), which accepts NULL. */
-core_fault core_spectral_create(core_spectral **spectral, const core_fit *places,
-                                const core_spectral_design *design);
+/* Prepares a design that core_spectral_check() accepts; it is copied. Returns NULL if memory runs out;
+ * else the caller frees it with core_spectral_free(), which accepts NULL. */
+core_spectral *core_spectral_create(const core_spectral_design *design, size_t places);
 void core_spectral_free(core_spectral *spectral);
 
-/* Begins with a set: values and errors [wavelength][place], as of core_fit_run(), which have to
- * stay. Returns whether the search continues; if not, it has set the result of readings that are
- * refused. core_spectral_step() does about one evaluation of all readings; at the end of the search it
- * sets the result and residuals, which may be NULL, and returns false. */
-bool core_spectral_begin(core_spectral *spectral, const double *values, const double *errors,
-                         core_spectral_result *result, double *residuals);
+/* Begins with a set, at places that have been prepared: values and errors [wavelength][place], as of
+ * core_fit_run(). All have to stay. Returns whether the search continues; if not, the readings are refused. core_spectral_step()
+ * does about one evaluation of all readings and returns whether the search continues. What returns
+ * false has set the result and the residuals, as of core_fit_run(), which may be NULL. */
+bool core_spectral_begin(core_spectral *spectral, const core_fit *places, const double *values,
+                         const double *errors, core_spectral_result *result, double *residuals);
 bool core_spectral_step(core_spectral *spectral, core_spectral_result *result, double *residuals);
 
 #endif

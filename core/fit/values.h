@@ -18,7 +18,6 @@ struct fit_model {
   double eta;
   double thickness_mm; /* mm, thickness of the media; 0: half spaces */
   core_parameters parameters;
-  double detector_na;    /* 0: light of all angles */
   bool narrow;           /* whether the design has an aperture */
   fit_aperture aperture; /* valid if `narrow` */
   /* NULL if the model has kernels for media that vary, or a parameter that is a length */

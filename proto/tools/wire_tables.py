@@ -50,9 +50,9 @@ def table_of(name: str) -> str:
     rows += ["part@0"] if begins_alike else []
     at = 0
     for i, field in enumerate(fields):
-        if i >= PART_FIELDS or not begins_alike:
-            row = f"{f'{type_of(field)}@{at}':<12} {field['name']:<22}  {meaning_of(field)}"
-            rows.append(row.rstrip())
+        if (i >= PART_FIELDS or not begins_alike) and not field["name"].startswith("zero"):
+            row = f"{field['name']}:{type_of(field)}@{at}"
+            rows.append(f"{row:<34} {meaning_of(field)}".rstrip())
         at += field["bytes"]
     return "\n".join(rows)
 

@@ -185,6 +185,11 @@ static void put_request(struct http_text *text, const schema_message *message, b
                        "Coefficients") "],"
                                        "'description':'the known medium, with scale reference'}");
   }
+  if (message->type == WIRE_TYPE_FIT_TISSUE) {
+    put_list_field(text, message, in_query, "sought",
+                   "{'oneOf':[" STRING "," REFERENCE("Sought") "]}",
+                   "names of properties, or limits with them");
+  }
   for (unsigned i = 0; (part = http_request_list(request, i, &name)) != NULL; i++) {
     put_list_field(text, message, in_query, name, NUMBER, part->about);
   }
@@ -269,10 +274,12 @@ static void put_reply_parts(struct http_text *text, const schema_payload *reply)
   } else {
     for (const schema_part *part = reply->parts; part->name != NULL; part++) {
       put_list(text, part->name,
-               part->kind != SCHEMA_LIST                     ? NUMBER
-               : part->structure->fields == FIELDS(estimate) ? REFERENCE("Estimate")
-               : part->structure->fields == FIELDS(medium)   ? REFERENCE("Coefficients")
-                                                             : REFERENCE("Offer"),
+               part->kind != SCHEMA_LIST                            ? NUMBER
+               : part->structure->fields == FIELDS(estimate)        ? REFERENCE("Estimate")
+               : part->structure->fields == FIELDS(medium)          ? REFERENCE("Coefficients")
+               : part->structure->fields == FIELDS(fitted_tissue)   ? REFERENCE("FittedTissue")
+               : part->structure->fields == FIELDS(tissue_estimate) ? REFERENCE("TissueEstimate")
+                                                                    : REFERENCE("Offer"),
                part->about);
     }
   }
@@ -314,6 +321,9 @@ static void put_schemas(struct http_text *text) {
   put_json(text, "}}");
   put_object(text, "Offer", FIELDS(offer));
   put_object(text, "Estimate", FIELDS(estimate));
+  put_object(text, "Sought", FIELDS(sought));
+  put_object(text, "FittedTissue", FIELDS(fitted_tissue));
+  put_object(text, "TissueEstimate", FIELDS(tissue_estimate));
   begin_object(text, "Channel", "");
   put_medium(text);
   put_json(text, ",'errors':{'type':'object','description':'of each wanted quantity',"

@@ -556,6 +556,36 @@ const core_choice *http_request_numbers(const schema_payload *request) {
                                                               : none;
 }
 
+/* Writes what a fit of a tissue seeks: names, or objects with a name and limits. */
+static bool add_sought(struct translation *t) {
+  const json_t *list = t->message->type == WIRE_TYPE_FIT_TISSUE ? value_of(t, "sought") : NULL;
+  for (size_t i = 0; list != NULL && i < count_of(list); i++) {
+    const json_t *one = element_of(list, i), *low = json_object_get(one, "low");
+    const json_t *high = json_object_get(one, "high"), *name = json_object_get(one, "property");
+    const size_t members = (size_t)(low != NULL) + (high != NULL) + (name != NULL);
+    wire_sought sought = {.property = 0};
+    uint64_t id = 0;
+    if (json_object_size(one) != members || (json_is_object(one) && name == NULL)) {
+      return fail_at(t, bad_value("sought", "names, or objects of property, low and high"), i);
+    }
+    if (!was_read(t,
+                  read_entry(name != NULL ? name : one, "sought", core_properties, false, &id))) {
+      return false;
+    }
+    if ((low != NULL && !read_number(t, low, &sought.low)) ||
+        (high != NULL && !read_number(t, high, &sought.high))) {
+      return fail_at(t, not_a_number("sought"), i);
+    }
+    uint8_t *at = add_bytes(t, WIRE_BYTES_sought);
+    if (at == NULL) {
+      return false;
+    }
+    sought.property = (uint16_t)id;
+    wire_put_sought(at, &sought);
+  }
+  return true;
+}
+
 static bool add_parameters(struct translation *t) {
   const core_choice *numbers = http_request_numbers(t->message->request);
   for (const core_choice *one = numbers; one->name != NULL; one++) {
@@ -740,6 +770,7 @@ static uint64_t counted(const struct translation *t, const schema_field *field) 
            : part->kind != SCHEMA_LIST && list != NULL                         ? count_of(list)
            : is_same(part->name, "medium")                                     ? t->medium_count
            : part->structure == &schema_structures[SCHEMA_STRUCTURE_parameter] ? t->parameter_count
+           : is_same(part->name, "sought") && list != NULL                     ? count_of(list)
                                                                                : 0;
   }
   return is_same(field->name, "numbers")       ? numbers_of(t)
@@ -826,6 +857,7 @@ static bool is_known(const schema_message *message, const char *key) {
   return shown_field(message, key) != NULL || strcmp(key, "deadline_ms") == 0 ||
          (media && (strcmp(key, "medium") == 0 || schema_field_of(&medium_alone, key) != NULL)) ||
          (message->type == WIRE_TYPE_FIT && strcmp(key, "reference") == 0) ||
+         (message->type == WIRE_TYPE_FIT_TISSUE && strcmp(key, "sought") == 0) ||
          core_choice_by_name(http_request_numbers(message->request), key) != NULL;
 }
 
@@ -899,17 +931,9 @@ static bool put_numbers(struct translation *t, const char *name, const json_t *l
   return true;
 }
 
-/* Returns how many numbers the first list of a request has, to which others are compared. */
-static size_t first_count(const struct translation *t) {
-  const char *name;
-  http_request_list(t->message->request, 0, &name);
-  const json_t *first = value_of(t, name);
-  return first != NULL ? count_of(first) : 0;
-}
-
-/* Writes a part that is lists of numbers: the sets of readings one after the other, the coordinates
- * of a position, or the powers of a point, side by side. */
-static bool add_lists(struct translation *t, const schema_part *part, bool single) {
+/* Writes a part that is lists of numbers, `total` in all: the sets of readings one after the other, the
+ * coordinates of a position, or the powers of a point, side by side. */
+static bool add_lists(struct translation *t, const schema_part *part, uint64_t total, bool single) {
   static const char *const axes[GATHER_AXES] = {"x", "y", "z"};
   const bool positions = part->form == SCHEMA_POSITIONS;
   const bool sides = positions || part->form == SCHEMA_CHANNELS;
@@ -921,7 +945,8 @@ static bool add_lists(struct translation *t, const schema_part *part, bool singl
   }
   const bool nests = part->form == SCHEMA_CHANNELS || part->form == SCHEMA_SETS;
   const size_t sets = positions ? GATHER_AXES : nests ? sets_of(value) : 1;
-  const size_t count = spreads ? longest(t) : first_count(t);
+  const size_t all = part->form == SCHEMA_SETS ? sets_of(value_of(t, "values")) : 1;
+  const size_t count = spreads ? longest(t) : all > 0 ? (size_t)total / all : 0;
   const bool short_ones = part->kind == SCHEMA_f32 || (single && part->kind == SCHEMA_REAL);
   const size_t bytes = short_ones ? sizeof(float) : sizeof(double);
   uint8_t *at = add_bytes(t, (size_t)wire_padded(count * sets * bytes));
@@ -972,7 +997,7 @@ static bool put_all(struct translation *t, uint32_t *deadline_ms) {
   bool good = check_keys(t) && read_deadline(t, deadline_ms) &&
               (t->message->type != WIRE_TYPE_VARYING || check_pairs(t)) &&
               add_bytes(t, request->fixed_bytes) != NULL && add_media(t) && add_parameters(t) &&
-              add_reference(t);
+              add_sought(t) && add_reference(t);
   for (unsigned i = 0; good && (fields = http_request_fields(request, i)) != NULL; i++) {
     good = put_fixed(t, fields, &offset, &single);
   }
@@ -980,8 +1005,13 @@ static bool put_all(struct translation *t, uint32_t *deadline_ms) {
   if (good && sets_of(value_of(t, "power")) > CORE_GATHER_CHANNELS_MAX) {
     return fail_with(t, wire_error_make(WIRE_STATUS_BAD_COUNT, "channel_count", "1 to 8"));
   }
-  for (const schema_part *part = request->parts; good && part->name != NULL; part++) {
-    good = part->about == NULL || part->kind == SCHEMA_LIST || add_lists(t, part, single);
+  schema_layout layout = {.payload_bytes = 0};
+  good = good && (schema_lay_out(request, t->payload->bytes, t->bytes_max, &layout, NULL) ||
+                  add_bytes(t, SIZE_MAX) != NULL);
+  for (unsigned i = 0; good && request->parts[i].name != NULL; i++) {
+    const schema_part *part = &request->parts[i];
+    good = part->about == NULL || part->kind == SCHEMA_LIST ||
+           add_lists(t, part, layout.parts[i].count, single);
   }
   if (good && t->message->type == WIRE_TYPE_POINTS) {
     name_points(t);

@@ -1,5 +1,5 @@
 /* Tissue: the media of a tissue at wavelengths. */
-#include "core/tissue/tissue.h"
+#include "server/jobs/tissue.h"
 
 #include <math.h>
 
@@ -14,23 +14,17 @@ struct tissue_job {
 
 JOB_STRUCTURE(struct tissue_job, tissue_of)
 
-/* Sets the properties: those of the request, else of the tissue with a name. */
-static wire_error read_tissue(struct tissue_job *of, const uint8_t *payload,
-                              const schema_layout *layout) {
-  wire_tissue_request fixed;
+wire_error tissue_read(core_tissue *tissue, unsigned id, unsigned haemoglobin, const uint8_t *at,
+                       uint32_t count) {
   double given[CORE_PROPERTIES_END];
-  wire_get_tissue_request(payload, &fixed);
-  of->tissue = core_tissue_named(fixed.tissue);
-  of->tissue.haemoglobin = fixed.haemoglobin;
-  of->wavelengths = (const void *)(payload + layout->parts[1].at);
-  of->count = fixed.wavelength_count;
-  for (size_t id = 0; id < CORE_PROPERTIES_END; id++) {
-    given[id] = (double)NAN;
+  *tissue = core_tissue_named(id);
+  tissue->haemoglobin = haemoglobin;
+  for (size_t i = 0; i < CORE_PROPERTIES_END; i++) {
+    given[i] = (double)NAN;
   }
-  const wire_error error = schema_parse_numbers(payload + layout->parts[0].at, fixed.property_count,
-                                                core_properties, given);
-  for (size_t id = 0; id < CORE_PROPERTIES_END; id++) {
-    of->tissue.value[id] = isnan(given[id]) ? of->tissue.value[id] : given[id];
+  const wire_error error = schema_parse_numbers(at, count, core_properties, given);
+  for (size_t i = 0; i < CORE_PROPERTIES_END; i++) {
+    tissue->value[i] = isnan(given[i]) ? tissue->value[i] : given[i];
   }
   return error;
 }
@@ -52,7 +46,12 @@ static enum job_outcome start_tissue(struct job *job, const struct job_request *
   wire_error error =
       schema_check(&schema_tissue_request, from->payload, from->header->payload_bytes, &layout);
   if (error.status == WIRE_STATUS_OK) {
-    error = read_tissue(of, from->payload, &layout);
+    wire_tissue_request fixed;
+    wire_get_tissue_request(from->payload, &fixed);
+    of->wavelengths = (const void *)(from->payload + layout.parts[1].at);
+    of->count = fixed.wavelength_count;
+    error = tissue_read(&of->tissue, fixed.tissue, fixed.haemoglobin,
+                        from->payload + layout.parts[0].at, fixed.property_count);
   }
   if (error.status == WIRE_STATUS_OK) {
     error = job_error(check_wavelengths(of));

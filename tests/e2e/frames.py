@@ -275,6 +275,25 @@ def tissue_payload(properties=((32, 1.0), (33, 1.0), (3, 0.7)), wavelengths=(650
     return wire.TISSUE_REQUEST.pack(**fields | fixed) + lists
 
 
+def fit_tissue_payload(
+    sought=((1, 0.0, 0.0), (2, 0.0, 0.0)), properties=((32, 2.0), (33, 1.0)),
+    wavelengths=(690.0, 830.0), at=(5.0,), values=((2e-4, 2e-4),), errors=((1e-5, 1e-5),),
+    discs=None, **fixed: float,
+) -> bytes:
+    """Makes the payload of a fit of a tissue under the better dipole: haemoglobin by default. Counts fit
+    unless `fixed` has others."""
+    fields = {
+        "set_count": len(values), "model": BETTER, "axis": 1, "scale": 1, "residuals": 0, "tissue": 0,
+        "haemoglobin": 1, "property_count": len(properties), "sought_count": len(sought),
+        "wavelength_count": len(wavelengths), "place_count": len(at), "detector_na": 0.0,
+    }  # fmt: skip
+    listed = [wire.SOUGHT.pack(property=id, low=low, high=high) for id, low, high in sought]
+    places = np.asarray([at, *(discs or np.zeros((2, len(at))))], "<f8").tobytes()
+    arrays = [np.asarray(one, "<f8").tobytes() for one in (wavelengths, values, errors)]
+    lists = [parameters_bytes(properties), *listed, places, *arrays]
+    return b"".join([wire.FIT_TISSUE_REQUEST.pack(**fields | fixed), *lists])
+
+
 def ask(connection: Connection, type: int, payload: bytes = b"", request_id: int = 77) -> Frame:
     """Sends one request and waits for one frame."""
     connection.send_bytes(frame(type, request_id, payload))

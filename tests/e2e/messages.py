@@ -41,7 +41,7 @@ SAMPLES = {name: EXAMPLES[f"{name}-request"][wire.HEADER.bytes :] for name in wi
 # The roles without which certificates are refused, by message; others need none.
 ROLES = {
     **dict.fromkeys(["eval", "offers", "sample", "invert", "varying", "tissue"], "evaluate"),
-    **dict.fromkeys(["table", "mc", "fit", "fit_layers", "points", "gather"], "compute"),
+    **dict.fromkeys(["table", "mc", "fit", "fit_layers", "fit_tissue", "points", "gather"], "compute"),
     "statistics": "observe",
 }
 
@@ -214,6 +214,8 @@ CALLS: dict[str, tuple[list[Any], dict[str, Any]]] = {
     "sample": (["better", "skin1"], {"draw": dipole.Draw(100)}),
     "invert": (["better", [0.2, 0.8], 1.5], {}),
     "fit": (["better", RADII, np.exp(-RADII), 0.01 * np.exp(-RADII)], {"eta": 1.4}),
+    "fit_tissue": ([["hbo2_uM"], [800.0], [5.0], [[2e-4]], 1e-5],
+                   {"properties": {"a_per_mm": 2, "b": 1}, "model": "better"}),
     "fit_layers": ([(0, 0.74, 0, 1.3), ["sigma_a_1"], [3.0], [2.7e-3], [1e-5]], {}),
     "tissue": ([[650, 850], "liver", {"hbo2_uM": 100.0}], {"haemoglobin": "ucl"}),
     "varying": (["better"], {"sigma_a": [0.1, 0.2], "sigma_s": 1.0, "r": [[0.5], [1.0]]}),
@@ -228,6 +230,9 @@ PARTED_CALLS: dict[str, tuple[list[Any], dict[str, Any]]] = {
     "invert": (["better", COLOURS[::300], 1.5], {"g": 0.3, "given": "diffuse-mean-free-path"}),
     "fit": (["better", [1.0, 2.0, 4.0], READINGS * NOISE[:500], 0.02 * np.array(READINGS)],
             {"eta": 1.4, "residuals": True}),
+    "fit_tissue": ([["hbo2_uM", "a_per_mm"], [690.0, 830.0], [3.0, 6.0],
+                    2e-4 * np.random.default_rng(4).uniform(0.5, 1, (500, 2, 2)), 1e-5],
+                   {"properties": {"b": 1}, "model": "better", "residuals": True}),
     "varying": (["better"], {"sigma_a": FEW, "sigma_s": 1.0, "r": 0.5, "evaluator": "f64",
                              "wanted": ["R", "albedo", "cdf"], "coefficients": ["sigma_a"]}),
     "gather": (["better", FOUR, POINTS_SENT, PLACES[:2500]], {}),

@@ -22,7 +22,7 @@ from daemons import Daemon, eventually
 from dipole import Frame, wire
 from frames import (  # noqa: F401  (wrong.txt takes some)
     ALBEDO, BETTER, EVAL, F32, LINEAR, LOGARITHMIC, PING, RADIUS, SKIN, R, ask, assert_closed,
-    assert_daemon_serves, assert_error, assert_refused, assert_serves, eval_payload, fit_layers_payload, fit_payload, frame, tissue_payload,
+    assert_daemon_serves, assert_error, assert_refused, assert_serves, eval_payload, fit_layers_payload, fit_payload, fit_tissue_payload, frame, tissue_payload,
     gather_payload, head_bytes, header, invert_payload, mc_payload, parameters_bytes, points_payload,
     sample_payload, statistics, table_payload, varying_payload,
 )
@@ -260,7 +260,7 @@ def padded(**changes: int) -> bytes:
 
 MAKERS = {
     "eval": eval_payload, "offers": lambda **how: eval_payload(**{"model": 0, "wanted": R, **how}), "sample": sample_payload,
-    "invert": invert_payload, "fit": fit_payload, "fit_layers": fit_layers_payload, "tissue": tissue_payload, "varying": varying_payload, "table": table_payload,
+    "invert": invert_payload, "fit": fit_payload, "fit_layers": fit_layers_payload, "fit_tissue": fit_tissue_payload, "tissue": tissue_payload, "varying": varying_payload, "table": table_payload,
     "mc": mc_payload, "points": lambda **how: points_payload(POINTS_SENT, 0, 10, **{"point_count": 10, **how}),
     "gather": lambda **how: gather_payload(POINTS_SENT, **{"media": [SKIN] * 4, **how}),
     "hello": lambda **how: wire.HELLO_REQUEST.pack(**{"version_min": 2, "version_max": 2, **how}), "ping": bytes,

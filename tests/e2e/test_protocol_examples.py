@@ -13,7 +13,7 @@ from messages import EXAMPLES
 # The requests whose documented replies are compared byte by byte.
 DETERMINISTIC = {
     "eval", "ping", "mc", "cancel", "sample", "invert", "varying", "points", "gather", "error",
-    "fit_layers", "tissue",
+    "fit_layers", "tissue", "fit_tissue",
 }
 # The types of requests by the names of examples, which are the names of messages and one more.
 TYPES = {**wire.MESSAGES, "error": wire.MESSAGES["eval"]}

@@ -36,7 +36,7 @@ from .rings import RingMeans
 from .surface import Coefficients, Surface
 from .table import Table, TableErrors
 from .values import Choice, Draw, Errors, Estimate, Fits, Gathered, Grid, Info, Inversion, LayersFit, McEnergy, McProgress, McResult
-from .values import McValue, Medium, Offer, Offers, Query, Result, Samples, Stack, Varying
+from .values import McValue, Medium, Offer, Offers, Query, Result, Samples, Stack, TissueFits, Varying
 
 __version__ = "0.1.0"  # the version of the whole project, as in the Makefile
 
@@ -51,5 +51,5 @@ __all__ = [
     "LayersFit", "LibraryError", "ProtocolError",
     "Query", "Refused", "Result", "RingMeans", "Samples", "Stack", "Surface", "Table",
     "TableError",
-    "TableErrors", "Tls", "Values", "Varying", "gather_at_home",
+    "TableErrors", "TissueFits", "Tls", "Values", "Varying", "gather_at_home",
 ]

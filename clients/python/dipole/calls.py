@@ -155,6 +155,7 @@ class Calls:
     invert = Call(inversion.invert)
     fit = Call(fitting.fit)
     fit_layers = Call(fitting.fit_layers)
+    fit_tissue = Call(fitting.fit_tissue)
     tissue = Call(tissues.tissue)
     varying = Call(textures.varying)
     gather = Call(gathering.gather)

@@ -28,7 +28,7 @@ KEPT_BYTES = 64 << 20  # most bytes of payloads that a client keeps for sending 
 PAUSE_FIRST_S = 0.010
 # Requests that may be sent again: all but a cancel, which concerns one connection.
 _REPEATABLE = (
-    "eval", "sample", "invert", "fit", "fit_layers", "tissue", "varying", "points", "gather", "offers", "table", "media",
+    "eval", "sample", "invert", "fit", "fit_layers", "fit_tissue", "tissue", "varying", "points", "gather", "offers", "table", "media",
     "statistics", "ping", "mc",
 )  # fmt: skip
 _TEMPORARY = ("busy", "shutting-down", "timeout")

@@ -1,4 +1,5 @@
-"""Client.fit() and fit_layers(): find media and layers from readings of their reflectance."""
+"""Client.fit(), fit_layers() and fit_tissue(): find media, layers and what a tissue is made of from
+readings of their reflectance."""
 
 from __future__ import annotations
 
@@ -12,7 +13,7 @@ from .arguments import id_of, layers_of, media_array, name_of, parameters_list
 from .errors import ArgumentError, naming
 from .exchange import InParts, Joined, Once, Request
 from .session import Session
-from .values import Array, Estimate, Fits, LayersFit, Media
+from .values import Array, Estimate, Fits, LayersFit, Media, TissueFits
 
 _REQUEST_BYTES = 16 << 20  # most bytes of a request; larger images need several
 OUTSTANDING = 2  # number of requests under way at a time
@@ -199,3 +200,109 @@ async def fit_layers(
         )
 
     return await session.call(Request("fit_layers", payload, lambda: Once(read), deadline_ms))
+
+
+async def fit_tissue(
+    session: Session,
+    sought: Iterable[str] | Mapping[str, tuple[float, float] | None],
+    wavelengths_nm: Any,
+    at: Any,
+    values: Any,
+    errors: Any,
+    name: str | int | None = None,
+    properties: Mapping[str, float] | None = None,
+    *,
+    model: str | int = "transport",
+    axis: str | int = "r",
+    scale: str | int = "absolute",
+    haemoglobin: str | int = "prahl",
+    source: Any = 0.0,
+    detector: Any = 0.0,
+    detector_na: float = 0.0,
+    residuals: bool = False,
+    deadline_ms: int = 0,
+) -> TissueFits:
+    """Finds amounts of chromophores, a_per_mm and b of a tissue from readings at wavelengths.
+
+    sought: names of info.choices["property"], such as ["hbo2_uM", "hb_uM", "a_per_mm", "b"], or a
+    mapping to limits (low, high), None for the usual ones. wavelengths_nm: [W]. at: [P] distances
+    in mm or, with axis="f", spatial frequencies in 1/mm. values: [..., W, P] readings there; a
+    reading that is not finite, or whose error is 0, gives its set the status "refused". errors: their
+    standard errors, of a shape that broadcasts. name, properties, haemoglobin: as of tissue(): what
+    is not sought, with g=0.9 and eta=1.4 unless they are given, and where the search starts. scale,
+    source, detector, residuals: as of fit(); readings over those of a known medium, times R of that
+    medium, have no unknown scale."""
+    info = session.info
+    limits = sought if isinstance(sought, Mapping) else dict.fromkeys(sought)
+    with naming("wavelengths_nm: one number, or an array [W]"):
+        wavelengths = np.asarray(wavelengths_nm, "<f8").reshape(-1)
+    with naming("at: one number, or an array [P]"):
+        places = np.asarray(at, "<f8").reshape(-1)
+    readings, spread = _arrays(values, errors)
+    if readings.shape[-2:] != (wavelengths.size, places.size):
+        raise ArgumentError(
+            f"values: an array [..., {wavelengths.size}, {places.size}] for these wavelengths and places"
+        )
+    listed = parameters_list(info, properties, kind="property")
+    with naming("sought: names, or a mapping of names to (low, high) or None"):
+        packed = [
+            wire.SOUGHT.pack(property=id_of(info, "property", one), low=low, high=high)
+            for one, (low, high) in ((one, pair or (0, 0)) for one, pair in limits.items())
+        ]
+    head = {
+        "model": id_of(info, "model", model),
+        "axis": id_of(info, "axis", axis),
+        "scale": id_of(info, "scale", scale),
+        "residuals": int(residuals),
+        "tissue": 0 if name is None else id_of(info, "tissue", name),
+        "haemoglobin": id_of(info, "haemoglobin", haemoglobin),
+        "property_count": len(listed),
+        "sought_count": len(packed),
+        "wavelength_count": wavelengths.size,
+        "place_count": places.size,
+        "detector_na": float(detector_na),
+    }
+    given = {"at": places, "source": source, "detector": detector}
+    lists = {one: _place(one, array, places.size).tobytes() for one, array in given.items()}
+    lists |= {"property": b"".join(listed), "sought": b"".join(packed)}
+    lists["wavelength"] = wavelengths.tobytes()
+    count, size = wavelengths.size * places.size, len(packed)
+    sets = (readings.reshape(-1, count), spread.reshape(-1, count))
+    pieces: list[Joined] = []
+    expected = (count if residuals else 0, size, head["haemoglobin"])
+
+    def fits(reply: Any) -> bool:
+        found = (reply.reading_count, reply.sought_count, reply.haemoglobin)
+        return bool(found == expected and 0 < reply.count >= reply.fitted_count)
+
+    def requests() -> Iterator[Request[Joined]]:
+        each = max(1, _REQUEST_BYTES // (16 * max(count, 1)))
+        for first in range(0, max(len(sets[0]), 1), each):
+            some = [one[first : first + each] for one in sets]
+            fixed = head | {"set_count": len(some[0])}
+            arrays = {"values": some[0].tobytes(), "errors": some[1].tobytes()}
+
+            def replies(total: int = len(some[0])) -> InParts[Joined]:
+                return InParts("fit_tissue_reply", total, fits, lambda whole: whole)
+
+            payload = wire.PAYLOADS["fit_tissue_request"].pack(fixed, **lists, **arrays)
+            yield Request("fit_tissue", payload, replies, deadline_ms)
+
+    await session.each(requests(), pieces.append, OUTSTANDING)
+    shape = readings.shape[:-2]
+    found = {
+        one: np.concatenate([piece.arrays[one].reshape(-1) for piece in pieces])
+        for one in ("sets", "estimates", "covariance", "residuals")
+    }
+    estimates = found["estimates"].reshape(*shape, size)
+    return TissueFits(
+        found["sets"].reshape(shape),
+        {
+            name_of(info, "property", int(found["estimates"]["property"][k])): estimates[..., k]
+            for k in range(size if estimates.size else 0)
+        },
+        found["covariance"].reshape(*shape, size, size),
+        found["residuals"].reshape(readings.shape) if residuals else None,
+        {choice.id: one for one, choice in info.choices["fit_status"].items()},
+        name_of(info, "haemoglobin", int(head["haemoglobin"])),
+    )

@@ -2,7 +2,7 @@
 
 MESSAGES = {"hello": 1, "eval": 2, "media": 3, "statistics": 4, "ping": 5, "mc": 6, "cancel": 7,
     "table": 8, "offers": 9, "sample": 10, "invert": 11, "fit": 12, "varying": 13, "points": 14,
-    "gather": 15, "fit_layers": 16, "tissue": 17}
+    "gather": 15, "fit_layers": 16, "tissue": 17, "fit_tissue": 18}
 
 KINDS = {1: "model", 2: "evaluator", 3: "moments", 4: "quantity", 5: "spacing", 6: "status",
     7: "parameter", 8: "note", 9: "draw", 10: "length", 11: "phase", 12: "scale", 13: "axis",
@@ -90,6 +90,17 @@ fit_layers_reply: u16 status, u16 unknowns, u32 reading_count, u64 evaluations, 
 estimate: u16 unknown, u16 status, u32 zero, f64 value, f64 error
 tissue_request: u16 tissue, u16 haemoglobin, u32 property_count, u32 wavelength_count, u32 zero
 tissue_reply: u16 haemoglobin, u16 zero, u32 wavelength_count
+fit_tissue_request: u64 set_count, u16 model, u16 axis, u16 scale, u16 residuals, u16 tissue,
+    u16 haemoglobin, u32 property_count, u32 sought_count, u32 wavelength_count, u32 place_count,
+    u32 zero, f64 detector_na
+sought: u16 property, u16 zero, u32 zero_too, f64 low, f64 high
+fit_tissue_reply: u32 part, u32 part_count, u64 first, u64 count, u64 fitted_count,
+    u32 reading_count, u16 sought_count, u16 haemoglobin
+fitted_tissue: u16 status, u16 field, u16 saturation_status, u16 total_status, u32 index,
+    u32 evaluations, f64 saturation, f64 saturation_error, f64 total, f64 total_error, f64 factor,
+    f64 factor_error, f64 chi_squared, f64 reduced_chi_squared, f64 condition,
+    f64 numerical_error, f64 model_error
+tissue_estimate: u16 property, u16 status, u32 zero, f64 value, f64 error, f64 numerical
 error: u16 status, u16 zero, u32 retry_after_ms, u64 index, text field[32], text allowed[80]
 """
 
@@ -134,6 +145,14 @@ fit_layers_reply: fit_layers_reply; estimate estimates[unknowns&65535];
 tissue_request: tissue_request; parameter property[property_count];
     f64 wavelength[wavelength_count]
 tissue_reply: tissue_reply; medium media[wavelength_count]
+fit_tissue_request: fit_tissue_request; parameter property[property_count];
+    sought sought[sought_count]; f64 at[place_count]; f64 source[place_count];
+    f64 detector[place_count]; f64 wavelength[wavelength_count];
+    f64 values[place_count*set_count*wavelength_count];
+    f64 errors[place_count*set_count*wavelength_count]
+fit_tissue_reply: fit_tissue_reply; fitted_tissue sets[count];
+    tissue_estimate estimates[count*sought_count];
+    f64 covariance[count*sought_count*sought_count]; f64 residuals[count*reading_count]
 varying_request: varying_request; parameter parameter[parameter_count];
     real sigma_a[value_count] if given is 0; real colour[value_count] unless given is 0;
     real sigma_s[value_count] if given is 0; real length[value_count] unless given is 0;

@@ -473,6 +473,26 @@ class LayersFit(NamedTuple):
     residuals: Array  # [N]: (value - factor R) / error
 
 
+@dataclass(frozen=True, eq=False)
+class TissueFits:
+    """What was fitted to sets of readings of a tissue, in arrays of the shape of the sets. With status
+    "refused" all numbers are NaN."""
+
+    sets: Array  # a structured array with the fields of `fitted_tissue` in PROTOCOL.md
+    # by the names of what was sought: structured arrays with status, value, error and numerical
+    estimates: dict[str, Array]
+    covariance: Array  # [..., n, n] of the estimates, in their order and units
+    residuals: Array | None  # [..., W, P]: (value - factor R) / error; None if not wanted
+    status_names: dict[int, str]  # the name of each number of a status
+    haemoglobin: str  # the table of its absorption
+
+    def status(self, name: str | None = None) -> Array:
+        """The names of how each set, or one of its estimates, has ended; only "fitted" is a success."""
+        found = self.sets if name is None else self.estimates[name]
+        names: Array = np.vectorize(self.status_names.get, otypes=[object])(found["status"])
+        return names
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Fits:
     """What was fitted to sets of readings. Arrays have the shape of the sets: that of the values of

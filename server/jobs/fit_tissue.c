@@ -1,0 +1,443 @@
+/* Fit of a tissue: finds amounts of chromophores and scattering from sets of readings at wavelengths,
+ * set by set. The places that they share are prepared on another thread and kept in the cache. */
+#include <math.h>
+#include <stdlib.h>
+
+#include "core/fit/spectral.h"
+#include "proto/schema.h"
+#include "server/jobs/job.h"
+#include "server/jobs/tissue.h"
+
+/* Parts of a request and of a reply. */
+enum { PROPERTY, SOUGHT, AT, SOURCE, DETECTOR, WAVELENGTH, VALUES, ERRORS };
+enum { SETS, ESTIMATES, COVARIANCE, RESIDUALS };
+
+/* Evaluations of a search, on average, and the most radii of a dipole of a small request. */
+enum { EVALUATIONS = 60, SMALL_RADII = 8 * JOB_SLICE_RADII };
+
+/* An unknown without a value that is given starts at this share of the range between its limits. */
+#define START_SHARE 0.02
+
+/* What the places of a request have in common; the arrays at, source and detector follow. */
+struct places {
+  uint32_t model, axis, scale, count;
+  double g, eta, thickness_mm, detector_na;
+};
+
+struct tissue_fit {
+  struct job job;
+  const uint8_t *payload;
+  wire_fit_tissue_request fixed;
+  schema_layout layout;
+  core_tissue tissue;
+  struct lookup lookup;  /* gets the prepared places */
+  struct places *places; /* their content, owned */
+  core_spectral *search; /* NULL before the first set */
+  bool searches;         /* whether `search` has begun with the next set */
+  size_t term_count;     /* of property[] */
+  uint16_t property[CORE_SPECTRAL_TERMS_MAX];
+  uint64_t evaluation_radii;
+  struct job_parts parts; /* of the sets */
+  uint64_t fitted;        /* how many sets of the part before index are a success */
+};
+
+JOB_STRUCTURE(struct tissue_fit, tissue_fit_of)
+
+static const double *numbers_of(const struct tissue_fit *of, unsigned part) {
+  return (const double *)(const void *)(of->payload + of->layout.parts[part].at);
+}
+
+/* ---- places in the cache --------------------------------------------------------------------- */
+
+static core_fit_design design_of(const struct places *places) {
+  const double *at = (const double *)(places + 1);
+  return (core_fit_design){.model = places->model,
+                           .moments = CORE_MOMENTS_EXACT,
+                           .g = places->g,
+                           .eta = places->eta,
+                           .thickness_mm = places->thickness_mm,
+                           .axis = places->axis,
+                           .count = places->count,
+                           .at = at,
+                           .source_mm = at + places->count,
+                           .detector_mm = at + 2 * (size_t)places->count,
+                           .detector_na = places->detector_na,
+                           .scale = places->scale,
+                           .of_spectra = true};
+}
+
+static core_fault prepare_places(void *thing, const struct cache_key *key, const core_isa *isa,
+                                 const atomic_bool *stop) {
+  const core_fit_design design = design_of(key->content);
+  (void)stop;
+  return core_fit_create(thing, isa, &design);
+}
+
+static void free_places(void *thing) {
+  core_fit_free(*(core_fit **)thing);
+}
+
+static uint64_t places_bytes_of(const void *thing) {
+  return core_fit_bytes(*(core_fit *const *)thing);
+}
+
+static const struct cache_kind places_kind = {.thing_bytes = sizeof(core_fit *),
+                                              .prepare = prepare_places,
+                                              .free = free_places,
+                                              .bytes = places_bytes_of};
+
+static size_t place_bytes(const struct tissue_fit *of) {
+  return sizeof(struct places) + 3 * sizeof(double) * (size_t)of->fixed.place_count;
+}
+
+static wire_error out_of_memory(void) {
+  return job_fault(
+      (core_fault){CORE_FIELD_MEMORY, "less than the memory that is free: try again", 0}, 0);
+}
+
+/* Gathers and checks the places. */
+static wire_error take_places(struct tissue_fit *of) {
+  const wire_fit_tissue_request *fixed = &of->fixed;
+  const double *value = of->tissue.value;
+  of->places = malloc(place_bytes(of));
+  if (of->places == NULL) {
+    return out_of_memory();
+  }
+  *of->places = (struct places){fixed->model,
+                                fixed->axis,
+                                fixed->scale,
+                                fixed->place_count,
+                                value[CORE_PROPERTY_G],
+                                value[CORE_PROPERTY_ETA],
+                                value[CORE_PROPERTY_THICKNESS],
+                                fixed->detector_na};
+  for (unsigned i = 0; i < 3; i++) {
+    memcpy((double *)(of->places + 1) + i * (size_t)fixed->place_count, numbers_of(of, AT + i),
+           fixed->place_count * sizeof(double));
+  }
+  const core_fit_design design = design_of(of->places);
+  const core_fault fault = core_fit_check(&design);
+  of->evaluation_radii = (uint64_t)(fault.field == NULL ? core_fit_cost_of(&design).evaluation *
+                                                              fixed->wavelength_count
+                                                        : 0);
+  return job_error(fault);
+}
+
+/* ---- what is sought -------------------------------------------------------------------------- */
+
+static bool is_sought(const core_spectral_term *term) {
+  return term->high > term->low;
+}
+
+/* Returns the start and the limits of a property; both limits 0: the usual ones. */
+static core_spectral_term term_of(const core_tissue *tissue, const wire_sought *sought,
+                                  double most) {
+  const bool is_a = sought->property == CORE_PROPERTY_A, is_b = sought->property == CORE_PROPERTY_B;
+  const bool usual = sought->low == 0 && sought->high == 0;
+  const bool blood = sought->property <= CORE_PROPERTY_HB;
+  core_spectral_term term = {tissue->value[sought->property], sought->low, sought->high};
+  if (usual) {
+    term.low = is_a ? 0.2 : is_b ? -0.5 : 0;
+    term.high = is_a ? 10 : is_b ? 4 : blood ? CORE_BLOOD_UM : most;
+  }
+  if (!(term.start > term.low && term.start < term.high)) {
+    term.start = is_a   ? sqrt(term.low * term.high)
+                 : is_b ? 0.5 * (term.low + term.high)
+                        : fma(START_SHARE, term.high - term.low, term.low);
+  }
+  return term;
+}
+
+/* Sets terms[id] of what is sought, and where its search starts in the tissue. */
+static wire_error take_sought(struct tissue_fit *of, core_spectral_term *terms) {
+  static const double most[CORE_PROPERTIES_END] = {
+#define CORE_PROPERTY(id, IDENT, name, least, most, usual, about) [id] = (most),
+#include "core/tissue/tissue.def"
+  };
+  for (uint32_t i = 0; i < of->fixed.sought_count; i++) {
+    wire_sought one;
+    wire_get_sought(of->payload + of->layout.parts[SOUGHT].at + i * WIRE_BYTES_sought, &one);
+    const unsigned id = one.property;
+    wire_error error = wire_error_none();
+    if (core_choice_by_id(core_properties, id) == NULL ||
+        (id > CORE_CHROMOPHORES_MAX && id != CORE_PROPERTY_A && id != CORE_PROPERTY_B)) {
+      error = wire_error_make(WIRE_STATUS_BAD_VALUE, "property", "an amount, a_per_mm or b");
+    } else if (is_sought(&terms[id])) {
+      error = wire_error_make(WIRE_STATUS_BAD_VALUE, "property", "each one once");
+    } else {
+      terms[id] = term_of(&of->tissue, &one, most[id]);
+      of->tissue.value[id] = terms[id].start;
+      if (!(is_sought(&terms[id]) && terms[id].high <= most[id])) {
+        error = wire_error_make(WIRE_STATUS_BAD_VALUE, "high",
+                                "above low, and within the range of the property");
+      }
+    }
+    if (error.status != WIRE_STATUS_OK) {
+      error.index = i;
+      return error;
+    }
+  }
+  return wire_error_none();
+}
+
+/* Sets the terms: amounts that are sought or not 0, a and b. by_id: of what is sought. */
+static void list_terms(struct tissue_fit *of, const core_spectral_term *by_id,
+                       core_spectral_term *terms) {
+  for (const core_choice *one = core_properties; one->id <= CORE_PROPERTY_B && one->name != NULL;
+       one++) {
+    const bool sought = is_sought(&by_id[one->id]);
+    const double value = of->tissue.value[one->id];
+    if (sought || value > 0 || one->id > CORE_CHROMOPHORES_MAX) {
+      of->property[of->term_count] = (uint16_t)one->id;
+      terms[of->term_count++] = sought ? by_id[one->id] : (core_spectral_term){value, 0, 0};
+    }
+  }
+}
+
+/* Sets the absorption [wavelength][chromophore]. */
+static core_fault find_absorption(const struct tissue_fit *of, double *absorption) {
+  const double *wavelength = numbers_of(of, WAVELENGTH);
+  const size_t chromophores = of->term_count - 2;
+  core_fault fault = {0};
+  for (uint32_t l = 0; l < of->fixed.wavelength_count && fault.field == NULL; l++) {
+    core_medium medium;
+    fault = core_tissue_medium(&of->tissue, wavelength[l], &medium);
+    for (size_t i = 0; i < chromophores && fault.field == NULL; i++) {
+      fault = core_chromophore_at((enum core_property)of->property[i], of->tissue.haemoglobin,
+                                  wavelength[l], &absorption[l * chromophores + i]);
+    }
+    fault.index = l;
+  }
+  if (fault.field == NULL && of->tissue.value[CORE_PROPERTY_RAYLEIGH] > 0) {
+    return (core_fault){"rayleigh_share", "0 in a fit", 0};
+  }
+  if (fault.field == NULL && of->tissue.value[CORE_PROPERTY_VESSEL_RADIUS] > 0) {
+    return (core_fault){"vessel_radius_mm", "0 in a fit", 0};
+  }
+  return fault;
+}
+
+static size_t term_of_property(const struct tissue_fit *of, unsigned id) {
+  size_t i = 0;
+  while (i < of->term_count - 2 && of->property[i] != id) {
+    i++;
+  }
+  return i;
+}
+
+/* Checks what is sought, and prepares the search. */
+static wire_error prepare_search(struct tissue_fit *of) {
+  core_spectral_term by_id[CORE_PROPERTIES_END] = {{0}}, terms[CORE_PROPERTIES_END];
+  wire_error error = take_sought(of, by_id);
+  if (error.status != WIRE_STATUS_OK) {
+    return error;
+  }
+  list_terms(of, by_id, terms);
+  core_spectral_design design = {.wavelength_count = of->fixed.wavelength_count,
+                                 .wavelength_nm = numbers_of(of, WAVELENGTH),
+                                 .chromophore_count = of->term_count - 2,
+                                 .terms = terms,
+                                 .oxy = term_of_property(of, CORE_PROPERTY_HBO2),
+                                 .deoxy = term_of_property(of, CORE_PROPERTY_HB)};
+  core_fault fault = core_tissue_check(&of->tissue);
+  if (fault.field == NULL) {
+    fault = core_spectral_check(&design, of->fixed.place_count, of->fixed.scale);
+  }
+  if (fault.field != NULL) {
+    return job_error(fault);
+  }
+  const size_t count = design.chromophore_count * design.wavelength_count;
+  double *absorption = malloc((count + 1) * sizeof *absorption);
+  if (absorption == NULL) {
+    return out_of_memory();
+  }
+  design.absorption_per_mm = absorption;
+  error = job_error(find_absorption(of, absorption));
+  if (error.status == WIRE_STATUS_OK) {
+    of->search = core_spectral_create(&design, of->fixed.place_count);
+    error = of->search != NULL ? error : out_of_memory();
+  }
+  free(absorption);
+  return error;
+}
+
+/* ---- starting -------------------------------------------------------------------------------- */
+
+static wire_error check_request(struct tissue_fit *of, const struct job_request *from) {
+  wire_error error = schema_check(&schema_fit_tissue_request, from->payload,
+                                  from->header->payload_bytes, &of->layout);
+  if (error.status != WIRE_STATUS_OK) {
+    return error;
+  }
+  of->payload = from->payload;
+  wire_get_fit_tissue_request(from->payload, &of->fixed);
+  error = tissue_read(&of->tissue, of->fixed.tissue, of->fixed.haemoglobin,
+                      of->payload + of->layout.parts[PROPERTY].at, of->fixed.property_count);
+  error = error.status == WIRE_STATUS_OK ? prepare_search(of) : error;
+  return error.status == WIRE_STATUS_OK ? take_places(of) : error;
+}
+
+static wire_fit_tissue_reply reply_of(const struct tissue_fit *of) {
+  const uint32_t readings = of->fixed.place_count * of->fixed.wavelength_count;
+  return (wire_fit_tissue_reply){.count = of->parts.count,
+                                 .fitted_count = of->fitted,
+                                 .reading_count = of->fixed.residuals != 0 ? readings : 0,
+                                 .sought_count = (uint16_t)of->fixed.sought_count,
+                                 .haemoglobin = of->fixed.haemoglobin};
+}
+
+static void release(struct tissue_fit *of) {
+  core_spectral_free(of->search);
+  free(of->places);
+}
+
+static enum job_outcome start_tissue_fit(struct job *job, const struct job_request *from) {
+  struct tissue_fit *of = tissue_fit_of(job);
+  of->places = NULL;
+  of->search = NULL;
+  of->searches = false;
+  of->term_count = 0;
+  of->fitted = 0;
+  wire_error error = check_request(of, from);
+  if (error.status == WIRE_STATUS_OK) {
+    const double radii = EVALUATIONS * (double)of->evaluation_radii * (double)of->fixed.set_count;
+    error =
+        job_admit(job, radii <= SMALL_RADII ? fmin(radii, JOB_SLICE_RADII) : radii, "set_count");
+  }
+  of->parts.count = 0;
+  const wire_fit_tissue_reply start = reply_of(of);
+  if (error.status == WIRE_STATUS_OK &&
+      !job_parts_fit(&of->parts, job, &schema_fit_tissue_reply, &start, 1, of->fixed.set_count)) {
+    error = wire_error_make(WIRE_STATUS_TOO_LARGE, "residuals",
+                            "0: with them a set exceeds max_part_bytes");
+  }
+  if (error.status != WIRE_STATUS_OK) {
+    release(of);
+    return job_refuse(job, error);
+  }
+  job_init_other(job, &of->lookup, from);
+  return JOB_NEXT_PART;
+}
+
+/* ---- fitting --------------------------------------------------------------------------------- */
+
+static enum job_outcome begin_tissue_part(struct job *job, uint8_t *payload) {
+  struct tissue_fit *of = tissue_fit_of(job);
+  job_part_begin(&of->parts, payload);
+  of->fitted = 0;
+  return JOB_GOES_ON;
+}
+
+static enum job_outcome get_places(struct tissue_fit *of) {
+  const size_t bytes = place_bytes(of);
+  const struct cache_key key = {.kind = &places_kind,
+                                .content = of->places,
+                                .content_bytes = bytes,
+                                .hash = cache_hash(0, of->places, bytes)};
+  const enum lookup_state state =
+      lookup_get(&of->job.context->profiles.lookups, &of->lookup, &key, CACHE_SLOW, true);
+  return state != LOOKUP_READY
+             ? job_follow(&of->job, state, &of->lookup.fault, of->lookup.fault.index)
+             : JOB_GOES_ON;
+}
+
+static wire_fitted_tissue encode_result(const core_spectral_result *result) {
+  const bool refused = result->fault.field != NULL;
+  return (wire_fitted_tissue){
+      .status = (uint16_t)result->status,
+      .field = !refused                                    ? 0
+               : strcmp(result->fault.field, "error") == 0 ? 2
+                                                           : 1,
+      .saturation_status = (uint16_t)result->saturation.status,
+      .total_status = (uint16_t)result->total.status,
+      .index = refused ? (uint32_t)result->fault.index : 0,
+      .evaluations = result->evaluations,
+      .saturation = result->saturation.value,
+      .saturation_error = result->saturation.error,
+      .total = result->total.value,
+      .total_error = result->total.error,
+      .factor = result->factor,
+      .factor_error = result->factor_error,
+      .chi_squared = result->chi_squared,
+      .reduced_chi_squared = result->reduced_chi_squared,
+      .condition = result->condition,
+      .numerical_error = result->numerical_error,
+      .model_error = result->model_error,
+  };
+}
+
+static void put_result(struct tissue_fit *of, const schema_layout *layout,
+                       const core_spectral_result *result) {
+  uint8_t *payload = of->parts.payload;
+  const size_t n = result->unknown_count, set = (size_t)of->parts.index++;
+  const wire_fitted_tissue fitted = encode_result(result);
+  wire_put_fitted_tissue(payload + layout->parts[SETS].at + set * WIRE_BYTES_fitted_tissue,
+                         &fitted);
+  for (size_t k = 0; k < n; k++) {
+    const core_spectral_estimate *one = &result->unknown[k];
+    const wire_tissue_estimate estimate = {.property = of->property[one->term],
+                                           .status = (uint16_t)one->status,
+                                           .value = one->value,
+                                           .error = one->error,
+                                           .numerical = one->numerical};
+    wire_put_tissue_estimate(payload + layout->parts[ESTIMATES].at +
+                                 (set * n + k) * WIRE_BYTES_tissue_estimate,
+                             &estimate);
+  }
+  memcpy(payload + layout->parts[COVARIANCE].at + set * n * n * sizeof(double), result->covariance,
+         n * n * sizeof(double));
+  of->fitted += result->status == CORE_FIT_STATUS_FITTED;
+}
+
+/* Does a step of the next set. */
+static void fit_next(struct tissue_fit *of, const core_fit *places) {
+  const wire_fit_tissue_reply start = reply_of(of);
+  const size_t readings = (size_t)of->fixed.place_count * of->fixed.wavelength_count;
+  const size_t set = (size_t)(of->parts.first + of->parts.index);
+  core_spectral_result result;
+  schema_layout layout;
+  schema_lay_out(&schema_fit_tissue_reply, &start, UINT64_MAX, &layout, NULL);
+  double *residuals = (double *)(void *)(of->parts.payload + layout.parts[RESIDUALS].at);
+  residuals = start.reading_count > 0 ? residuals + of->parts.index * readings : NULL;
+  of->searches =
+      of->searches
+          ? core_spectral_step(of->search, &result, residuals)
+          : core_spectral_begin(of->search, places, numbers_of(of, VALUES) + set * readings,
+                                numbers_of(of, ERRORS) + set * readings, &result, residuals);
+  if (!of->searches) {
+    put_result(of, &layout, &result);
+  }
+}
+
+static enum job_outcome step_tissue_fit(struct job *job, uint64_t *budget) {
+  struct tissue_fit *of = tissue_fit_of(job);
+  const enum job_outcome outcome = of->lookup.entry != NULL ? JOB_GOES_ON : get_places(of);
+  if (outcome != JOB_GOES_ON) {
+    return outcome;
+  }
+  uint64_t spent = JOB_STEP_RADII;
+  const uint64_t begun = of->parts.index;
+  while (of->parts.index < of->parts.count && spent < JOB_SLICE_RADII) {
+    fit_next(of, *(core_fit *const *)lookup_thing(&of->lookup));
+    spent += of->evaluation_radii;
+  }
+  stats_add(&job->context->server->stats, STATS_SETS_FITTED, of->parts.index - begun);
+  job_pay(job, (of->parts.index - begun) * EVALUATIONS * of->evaluation_radii);
+  *budget -= spent < *budget ? spent : *budget;
+  if (of->parts.index < of->parts.count) {
+    return JOB_GOES_ON;
+  }
+  const wire_fit_tissue_reply start = reply_of(of);
+  return job_part_end(&of->parts, job, &schema_fit_tissue_reply, &start);
+}
+
+static void end_tissue_fit(struct job *job) {
+  struct tissue_fit *of = tissue_fit_of(job);
+  lookup_return(&of->lookup);
+  release(of);
+}
+
+const struct job_kind job_kind_FIT_TISSUE = {.start = start_tissue_fit,
+                                             .begin_part = begin_tissue_part,
+                                             .step = step_tissue_fit,
+                                             .end = end_tissue_fit};

@@ -1,0 +1,63 @@
+"""Fits of tissues over the wire: what Python, HTTP and the command line make of one set of readings."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from dipole import ArgumentError, Client
+from test_http import post
+
+NM = [650, 690, 730, 760, 800, 830, 850, 880, 910, 930, 970, 1000]
+AT_MM = [2.0, 4.0, 7.0, 12.0]
+TRUTH = {"hbo2_uM": 56, "hb_uM": 24, "water_fraction": 0.6, "fat_fraction": 0.3, "a_per_mm": 1.9, "b": 1.2}
+
+
+def readings(client: Client, haemoglobin: str = "prahl") -> np.ndarray:
+    """Returns R [wavelength, place] of the tissue."""
+    media = client.tissue(NM, properties=TRUTH, haemoglobin=haemoglobin)
+    return client.eval("transport", media, AT_MM, evaluator="f64").R
+
+
+def test_a_tissue_comes_back_with_its_saturation(daemon):
+    """Sets have the same bits alone, together and over HTTP; one that is wrong is named."""
+    one = daemon("--http", "127.0.0.1:0")
+    with one.client() as client:
+        R = readings(client)
+        noisy = R * np.random.default_rng(1).normal(1, 0.01, (20, *R.shape))
+        noisy[3, 2, 1] = np.nan
+        fits = client.fit_tissue(list(TRUTH), NM, AT_MM, noisy, 0.01 * R, residuals=True)
+        assert list(fits.estimates) == list(TRUTH) and fits.haemoglobin == "prahl"
+        good = np.arange(20) != 3
+        assert set(fits.status()[good]) == {"fitted"} and fits.status()[3] == "refused"
+        assert (fits.sets["field"][3], fits.sets["index"][3]) == (1, 2 * len(AT_MM) + 1)
+        for k, (name, estimates) in enumerate(fits.estimates.items()):
+            assert set(fits.status(name)[good]) == {"fitted"}
+            off = (estimates["value"] - TRUTH[name]) / estimates["error"]
+            assert np.all(np.abs(off[good]) < 4.5) and np.isnan(off[3])
+            assert np.allclose(fits.covariance[good, k, k], estimates["error"][good] ** 2)
+        off = (fits.sets["saturation"] - 0.7) / fits.sets["saturation_error"]
+        assert np.all(np.abs(off[good]) < 4.5) and np.all(fits.sets["saturation_error"][good] < 0.005)
+        chi_squared = (fits.residuals**2).sum((-2, -1))
+        assert np.allclose(chi_squared[good], fits.sets["chi_squared"][good])
+        alone = client.fit_tissue(list(TRUTH), NM, AT_MM, noisy[5], 0.01 * R)
+        assert alone.sets == fits.sets[5] and np.all(alone.covariance == fits.covariance[5])
+        lists = {"values": noisy[5].ravel().tolist(), "errors": (0.01 * R).ravel().tolist()}
+        sought = [*list(TRUTH)[:-1], {"property": "b", "low": -0.5, "high": 4}]
+        reply = post(one, "/v1/fit_tissue", sought=sought, wavelength=NM, at=AT_MM, **lists).json
+        assert [each["value"] for each in reply["estimates"]] == [e["value"] for e in alone.estimates.values()]
+        assert reply["sets"][0]["saturation"] == alone.sets["saturation"] and reply["haemoglobin"] == "prahl"
+
+
+def test_another_table_of_haemoglobin_gives_other_amounts(daemon):
+    """Fitting with Prahl's table what UCL's has made: the total is a tenth too high (Jacques' R49 to R57
+    and UCL's numbers), and the reply says which table it is."""
+    with daemon().client() as client:
+        R = readings(client, "ucl")
+        sought = {**dict.fromkeys(TRUTH), "b": (0.0, 3.0)}
+        right = client.fit_tissue(sought, NM, AT_MM, R, 0.01 * R, haemoglobin="ucl")
+        other = client.fit_tissue(sought, NM, AT_MM, R, 0.01 * R)
+        assert right.haemoglobin == "ucl" and other.haemoglobin == "prahl"
+        assert right.sets["total"] == pytest.approx(80, rel=1e-3)
+        assert 84 < other.sets["total"] < 96
+        with pytest.raises(ArgumentError):
+            client.fit_tissue(sought, NM, AT_MM, R.T, 0.01 * R.T)
