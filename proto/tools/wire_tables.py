@@ -167,9 +167,12 @@ PROPERTIES = [name for _, kind, entries in LISTS["lists"] if kind == "property" 
 def write_spectra(path: Path) -> None:
     begin, end = "<!-- spectra: begin -->\n", "<!-- spectra: end -->\n"
     before, _, rest = path.read_text().partition(begin)
-    table = "| property | nm | source |\n|---|---|---|\n" + "".join(
-        f"| {name} | {first}-{last} | {source}{'' if table == 'all' else f': {table}'} |\n"
-        for name, first, last, source, table in sorted(LISTS["spectra"], key=lambda one: PROPERTIES.index(one[0]))
+    rows: dict[str, list[str]] = {}
+    for name, first, last, source, table in sorted(LISTS["spectra"], key=lambda one: PROPERTIES.index(one[0])):
+        of_table = "" if table == "all" else f": {table}"
+        rows.setdefault(f"{first}-{last} | {source}{of_table}", []).append(name)
+    table = "property | nm | source\n---|---|---\n" + "".join(
+        f"{', '.join(names)} | {row}\n" for row, names in rows.items()
     )
     path.write_text(before + begin + table + end + rest.partition(end)[2])
 
