@@ -93,13 +93,14 @@ static void keep_errors(dipole_errors *kept, dipole_errors part, bool is_first) 
   kept->model_error = is_first ? part.model_error : larger(before, part.model_error);
 }
 
-/* Keeps the part of a reply that begins at place `first` of the model at a position. A list that
- * is requested in pieces has the errors of all. */
-static void keep_part(cli_eval_report *report, size_t model, size_t first,
+/* Keeps the part of a reply that begins at place `first` of the model at a position, of the channels from
+ * `channel` on. A list that is requested in pieces has the errors of all. */
+static void keep_part(cli_eval_report *report, size_t model, size_t of_channel, size_t first,
                       const dipole_result *part) {
   for (uint32_t i = 0; i < part->channel_count; i++) {
     const dipole_channel *channel = &part->channels[i];
-    cli_eval_values *values = &report->values[model * report->profile.channel_count + i];
+    cli_eval_values *values =
+        &report->values[model * report->profile.channel_count + of_channel + i];
     values->albedo = channel->albedo;
     const dipole_errors all = {channel->numerical_error, channel->numerical_error_per_mm,
                                channel->model_error};
@@ -214,6 +215,7 @@ typedef struct requests {
   unsigned bad_value; /* id of the status bad-value */
   size_t model;       /* index of the model that is requested */
   size_t done, total; /* models */
+  size_t channel;     /* first of those that are requested */
   dipole_query query;
   cli_progress progress;
 } requests;
@@ -242,17 +244,28 @@ static bool receive(void *context, const dipole_result *part, uint64_t first) {
         part->radius_f64 != NULL ? part->radius_f64[i] : cli_number_of_single(part->radius_f32[i]);
     report->places[first + i] = is_grid ? cli_number_rounded(r) : r;
   }
-  keep_part(report, run->model, (size_t)first, part);
+  keep_part(report, run->model, run->channel, (size_t)first, part);
   if (report->place_count > 0) {
-    const double of_model = (double)report->place_count;
-    const double done = (double)run->done * of_model + (double)(first + part->radius_count);
-    cli_progress_show(&run->progress, done / ((double)run->total * of_model),
-                      (double)report->profile.channel_count * done);
+    const double of_model = (double)(report->place_count * report->profile.channel_count);
+    const double done = (double)run->done * of_model +
+                        (double)(run->channel * report->place_count) +
+                        (double)((first + part->radius_count) * part->channel_count);
+    cli_progress_show(&run->progress, done / ((double)run->total * of_model), done);
   }
   return true;
 }
 
-/* Requests the model, which has to take the parameters, unless it is there only as the reference. Where
+/* Returns how many media one request may have. */
+static size_t most_media(const dipole_info *info) {
+  for (size_t i = 0; i < info->limit_count; i++) {
+    if (strcmp(info->limits[i].name, "max_media") == 0) {
+      return (size_t)info->limits[i].value;
+    }
+  }
+  return 1;
+}
+
+/* Requests the model, of many wavelengths piece by piece. It has to take the parameters, unless it is there only as the reference. Where
  * the daemon chooses the model, and no evaluator is named, single precision is taken, which is
  * cheaper, unless only double precision keeps the tolerance. */
 static bool request_model(requests *run, dipole_error *error) {
@@ -261,7 +274,11 @@ static bool request_model(requests *run, dipole_error *error) {
   cli_eval_model *model = &run->report->models[run->model];
   cli_parameters parameters = report->profile.parameters;
   const bool is_any = model->choice == NULL;
-  for (;;) {
+  const size_t channels = report->profile.channel_count;
+  /* a choice of the daemon is one of all channels */
+  const size_t most =
+      report->profile.wavelengths_nm != NULL && !is_any ? most_media(info) : channels;
+  for (run->channel = 0;;) {
     run->query =
         (dipole_query){.model = is_any ? DIPOLE_ANY_MODEL : model->choice->id,
                        .evaluator = model->evaluator->id,
@@ -271,10 +288,17 @@ static bool request_model(requests *run, dipole_error *error) {
                        .parameters = parameters.items,
                        .parameter_count = parameters.count,
                        CLI_DEADLINE_OF(run->settings)};
+    const size_t left = channels - run->channel;
+    run->query.media = cli_profile_layers(&report->profile, run->channel);
+    run->query.medium_count = (uint32_t)(left < most ? left : most);
     cli_eval_set_radii(run->settings, report, model->evaluator->id != DIPOLE_F64, &run->query);
     if (CLI_RETRY(run->settings, error,
                   dipole_eval_parts(run->client, &run->query, receive, run, error))) {
-      return true;
+      run->channel += run->query.medium_count;
+      if (run->channel == channels) {
+        return true;
+      }
+      continue;
     }
     const dipole_choice *refused = cli_choice(info, DIPOLE_PARAMETER, error->field);
     if (is_any && error->kind == DIPOLE_ERROR_REFUSED && strcmp(error->field, "tolerance") == 0 &&
@@ -521,10 +545,14 @@ typedef struct block {
 
 enum { BLOCK_COLUMNS = 12 };
 
-/* Lines of a table are places, and columns channels; with wavelengths it is the other way round. */
+/* Whether lines of a table are wavelengths, and columns places; else it is the other way round. */
+static bool lists_wavelengths(const cli_eval_report *report) {
+  return report->profile.wavelengths_nm != NULL && report->draw == NULL &&
+         report->profile.channel_count >= report->place_count;
+}
+
 static size_t lines_of(const cli_eval_report *report, bool columns) {
-  return (report->profile.wavelengths_nm != NULL) != columns ? report->profile.channel_count
-                                                             : report->place_count;
+  return lists_wavelengths(report) != columns ? report->profile.channel_count : report->place_count;
 }
 
 /* Returns the models from `first` on that fit into a readable table. */
@@ -540,7 +568,7 @@ static void put_line(cli_rows *rows, const void *context, size_t index) {
   const block *of = context;
   const cli_eval_report *report = of->report;
   const size_t channels = report->profile.channel_count, each = lines_of(report, true);
-  const double *wavelengths_nm = report->profile.wavelengths_nm;
+  const double *wavelengths_nm = lists_wavelengths(report) ? report->profile.wavelengths_nm : NULL;
   /* Shares of 1, radii and logarithms are written without exponent; other values may have one. */
   const unsigned plain =
       DIPOLE_RADIUS | DIPOLE_CDF | DIPOLE_LN_R | DIPOLE_BY_SIGMA_A | DIPOLE_BY_SIGMA_S;
@@ -809,7 +837,7 @@ static bool request_pieces(const cli_settings *settings, dipole_client *client,
     good = CLI_RETRY(settings, error, dipole_sample(client, &piece, &result, error));
     if (good) {
       report->place_count = (size_t)count;
-      keep_part(report, 0, (size_t)first, result);
+      keep_part(report, 0, 0, (size_t)first, result);
       dipole_result_free(result);
     }
     first += piece.sample_count;

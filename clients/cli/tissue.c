@@ -147,6 +147,10 @@ static int take_layer(const cli_settings *settings, dipole_client *client, cli_p
     snprintf(what, sizeof what, "--tissue %.80s: ", text);
     return cli_fail_error_of(what, &error);
   }
+  if (layer + 1 < profile->layer_count && media[0].thickness_mm == 0) {
+    return cli_fail_usage("--tissue %s: only the last layer may be a half space: add thickness=MM",
+                          text);
+  }
   for (size_t i = 0; i < count; i++) {
     profile->media[i * profile->layer_count + layer] = media[i];
   }

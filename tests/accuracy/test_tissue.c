@@ -101,6 +101,8 @@ UNIT_TEST(other_spectra_are_natural_and_per_mm) {
   assert_within(prahl_at(CORE_PROPERTY_FAT, 930), .0131, .005);
   assert_within(prahl_at(CORE_PROPERTY_MELANOSOME, 500), 51.9, 1e-14);
   assert_within(prahl_at(CORE_PROPERTY_MELANOSOME, 1000), 51.9 / 8, 1e-14);
+  assert_within(6.6e10 * pow(500, -3.33) / prahl_at(CORE_PROPERTY_MELANOSOME, 500), 1.31, .01);
+  assert_within(6.6e10 * pow(800, -3.33) / prahl_at(CORE_PROPERTY_MELANOSOME, 800), 1.12, .01);
   assert_within(prahl_at(CORE_PROPERTY_BILIRUBIN, 450.8), 55000 * log(10) * 1e-7, .002);
   assert_within(prahl_at(CORE_PROPERTY_CAROTENE, 451), 139500 * log(10) * 1e-7, .011);
   assert_true(prahl_at(CORE_PROPERTY_CAROTENE, 600) == 0);

@@ -38,15 +38,15 @@ wavelength_nm,layers
 600,"0.379915975,55.5939216,0.9,1.4,0.06 0.0111709447,35.7928295,0.9,1.4"
 
 ## Values of tissues: rows have wavelengths, and answers name the table of haemoglobin.
-$ dipole eval --tissue hbo2=56,hb=24,water=.65,melanosome=.001,a=4.6,b=1.42 --wavelengths 660,850 --haemoglobin ucl --r 1,2,5 --model better
+$ dipole eval --tissue hbo2=56,hb=24,water=.65,melanosome=.001,a=4.6,b=1.42 --wavelengths 660,850 --haemoglobin ucl --r 1,5 --model better
 hbo2=56,hb=24,water=.65,melanosome=.001,a=4.6,b=1.42, haemoglobin by ucl, moments exact, R in 1/mm^2 per unit of power that entered
 
-                better      better      better
-wavelength      R 1 mm      R 2 mm      R 5 mm
-        nm      1/mm^2      1/mm^2      1/mm^2
-----------  ----------  ----------  ----------
-       660  3.6564e-02  6.5482e-03  1.6156e-04
-       850  3.4591e-02  8.4490e-03  4.2713e-04
+                better      better
+wavelength      R 1 mm      R 5 mm
+        nm      1/mm^2      1/mm^2
+----------  ----------  ----------
+       660  3.6564e-02  1.6156e-04
+       850  3.4591e-02  4.2713e-04
 
 wavelength   model    sigma_a  sigma_s    g  eta    albedo  numerical error  model error  evaluator       notes
         nm               1/mm     1/mm                   1
@@ -68,6 +68,12 @@ wavelength_nm,model,sigma_a,sigma_s,g,eta,r,R,albedo,numerical_error,model_error
 750,better,0.03864268343144045,3.504000883005981,0.8,1.4,5,7.93451322479513e-4,0.323940771718286,4.9970635605265435e-15,0.0849058419027615,f64,similarity
 850,better,0.04437997698683253,3.243586836792913,0.8,1.4,1,0.010488345869371071,0.28826722546724287,3.0542424206612682e-15,0.09697144174930307,f64,similarity
 850,better,0.04437997698683253,3.243586836792913,0.8,1.4,5,7.154708245658773e-4,0.28826722546724287,5.146736643057529e-15,0.09697144174930307,f64,similarity
+
+$ dipole eval --tissue liver --wavelengths 500:640:2 --r 1 --model better --format csv | cut -d, -f1-4,8 | tail -2; dipole eval --tissue liver --wavelengths 638,640 --r 1 --model better --format csv | cut -d, -f1-4,8 | tail -2
+638,better,0.08140738702781918,7.743416924033975,0.011369780444428148
+640,better,0.07893162850179476,7.728477700544661,0.01145541597361848
+638,better,0.08140738702781918,7.743416924033975,0.011369780444428148
+640,better,0.07893162850179476,7.728477700544661,0.01145541597361848
 
 $ dipole mc --tissue liver --wavelengths 650,850 --photons 4096 | head -1
 liver, haemoglobin by prahl, Monte Carlo, ended by photons, photons 4096, error of the total R inf, largest error of a ring inf

@@ -24,7 +24,8 @@ async def tissue(
     haemoglobin: str | int = "prahl",
     deadline_ms: int = 0,
 ) -> list[Medium]:
-    """Returns the medium that a tissue is at each wavelength, for eval() and other calls.
+    """Returns the medium that a tissue is at each wavelength, for eval(), which takes up to
+    info.limits["max_media"] of them at a time, and for other calls.
 
     wavelengths_nm: one, or up to 1024. name: of a tissue of info.choices["tissue"], whose sources
     stand there. properties: what differs from it, by names of info.choices["property"], such as
