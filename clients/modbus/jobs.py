@@ -13,10 +13,9 @@ DEVICE,BAUD in place of HOST:PORT names a serial line."""
 
 from __future__ import annotations
 
-import math
 import sys
 
-from unit import DEFAULTS, Unit, arguments, refuse
+from unit import DEFAULTS, Unit, arguments, numbers, refuse
 
 REGULAR, FREE_PATH, LOGARITHMIC = 2, 1, 3
 TRANSPORT = 29
@@ -72,18 +71,6 @@ def mc(unit: Unit) -> None:
         print(f"{start:.3g} to {stop:.3g} mm: {R:.4g} +- {error:.2g} 1/mm^2")
 
 
-def numbers(text: str, count: int) -> list[float]:
-    """Reads `count` finite numbers with commas between them; refuses all else."""
-    try:
-        found = [float(one) for one in text.split(",")]
-    except ValueError:
-        found = []
-    if len(found) != count or not all(map(math.isfinite, found)):
-        what = "give MM,READING,ERROR" if count > 1 else "give a number"
-        refuse(f"{text}: {what}, with points in numbers", __doc__)
-    return found
-
-
 def read_fit(given: list[str]) -> tuple[dict[str, str], list[list[float]]]:
     """Returns what is given by name, and the readings: mm, reading and error of each."""
     named: dict[str, str] = {}
@@ -95,12 +82,14 @@ def read_fit(given: list[str]) -> tuple[dict[str, str], list[list[float]]]:
         if name == "scale" and value not in SCALES:
             refuse(f"scale={value} is unknown; it is {' or '.join(SCALES)}", __doc__)
         if name != "scale":
-            numbers(value, 1)
+            numbers(value, 1, __doc__)
         named[name] = value
     own = [one for one in given if "=" not in one]
     if own and "eta" not in named:
         refuse("give eta=X: a wrong eta gives wrong coefficients that fit as well", __doc__)
-    readings = [numbers(one, 3) for one in own or READINGS]
+    readings = [numbers(one, 3, __doc__) for one in own or READINGS]
+    if any(len(reading) < 3 for reading in readings):
+        refuse(f"{' '.join(own)}: give MM,READING,ERROR of each", __doc__)
     least = 3 if named.get("scale") == "free" else 2
     if not least <= len(readings) <= READINGS_MOST:
         refuse(f"{len(readings)} readings: give {least} to {READINGS_MOST}", __doc__)

@@ -6,6 +6,7 @@ first sets all of them to their defaults, then writes what it depends on."""
 from __future__ import annotations
 
 import inspect
+import math
 import re
 import struct
 import sys
@@ -44,6 +45,18 @@ def arguments(about: str | None, least: int, most: int) -> list[str]:
     if not re.fullmatch(r"/.+,\d+|.+:\d+", given[0]):
         refuse(f"{given[0]}: give HOST:PORT or, of a serial line, DEVICE,BAUD", about)
     return given
+
+
+def numbers(text: str, most: int, about: str | None) -> list[float]:
+    """Reads up to `most` finite numbers with commas between them; refuses all else."""
+    try:
+        found = [float(one) for one in text.split(",")]
+    except ValueError:
+        found = []
+    if not 0 < len(found) <= most or not all(map(math.isfinite, found)):
+        what = "a number" if most == 1 else f"up to {most} numbers with commas between them"
+        refuse(f"{text}: give {what}, with points in numbers", about)
+    return found
 
 
 class Unit:
