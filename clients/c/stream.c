@@ -77,9 +77,12 @@ static bool fail_received(const libdipole_stream *stream, dipole_error *error) {
   if (refusal == NULL) {
     return fail_lost(stream, number, error);
   }
-  libdipole_fail(error, DIPOLE_ERROR_CONNECTION,
-                 "the daemon at %s refuses this client's certificate: %s", stream->address,
-                 refusal);
+  const bool none = strstr(refusal, "certificate required") != NULL;
+  libdipole_fail(
+      error, DIPOLE_ERROR_CONNECTION, "the daemon at %s %s%s", stream->address,
+      none ? "requires a certificate: give one and its key, as with --certificate and --key"
+           : "refuses this client's certificate: ",
+      none ? "" : refusal);
   error->status = WIRE_STATUS_NOT_ALLOWED;
   return false;
 }

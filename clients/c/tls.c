@@ -191,7 +191,7 @@ static bool fail_handshake(const SSL *ssl, int result, const char *host, dipole_
                  verified != X509_V_OK ? "its certificate: " : "",
                  verified != X509_V_OK ? X509_verify_cert_error_string(verified) : fault(),
                  is_refusal(ERR_GET_REASON(ERR_peek_last_error()))
-                     ? " (it refuses this client's certificate)"
+                     ? " (it refuses this client's certificate, or requires one)"
                  : is_of_unknown_ca(verified) ? " (give its CA, as with --ca)"
                                               : "");
   return fail_for_good(error);

@@ -346,7 +346,8 @@ class Connection:
             return
         except OSError as error:  # If the daemon refuses the certificate, that is final.
             refused = isinstance(error, ssl.SSLError) and "ALERT" in (error.reason or "")
-            why = "the daemon refuses this client's certificate: " if refused else ""
+            does = "requires a" if "REQUIRED" in str(error) else "refuses this client's"
+            why = f"the daemon {does} certificate: " if refused else ""
             raise ConnectionLost(f"{self.name}: {why}{error}", final=refused) from error
         if count == 0:
             raise ConnectionLost(f"{self.name}: the daemon closed the connection")
