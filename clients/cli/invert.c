@@ -3,6 +3,7 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "clients/cli/csv.h"
 #include "clients/cli/daemon.h"
 #include "clients/cli/options.h"
 #include "clients/cli/profile.h"
@@ -46,11 +47,67 @@ typedef struct report {
 
 /* ---- the command line ------------------------------------------------------------------------ */
 
+/* Columns of a file; g and eta are refused, because all rows have those of the options. */
+enum { ALBEDO, LENGTHS = 4, G, ETA, COLUMNS };
+static const char *const names[COLUMNS] = {"albedo",
+                                           "mean_free_path",
+                                           "diffuse_mean_free_path",
+                                           "classical_diffuse_path",
+                                           "extinction_path",
+                                           "g",
+                                           "eta"};
+
+static bool has_columns(const cli_sheet *sheet, const cli_csv_record *header) {
+  for (size_t i = G; i <= ETA; i++) {
+    if (sheet->at[i] != CLI_CSV_ABSENT) {
+      return cli_fails("%s: the header has the column %s: all rows have that of --%s; rename it",
+                       sheet->source, names[i], names[i]);
+    }
+  }
+  return sheet->at[ALBEDO] != CLI_CSV_ABSENT ||
+         cli_csv_fail_missing(
+             sheet->source, header, names[ALBEDO],
+             "albedo, and a length such as mean_free_path unless an option gives it");
+}
+
+/* Takes the numbers of a file for those of options. Says what is wrong and returns false. */
+static bool read_file(cli_settings *settings) {
+  cli_numbers *const lists[] = {&settings->albedo, &settings->mean_free_path,
+                                &settings->diffuse_mean_free_path,
+                                &settings->classical_diffuse_path, &settings->extinction_path};
+  cli_sheet sheet;
+  if (!cli_sheet_read(settings->operand, NULL, names, COLUMNS, has_columns, &sheet)) {
+    return false;
+  }
+  for (size_t c = 0; c <= LENGTHS; c++) {
+    if (sheet.at[c] == CLI_CSV_ABSENT) {
+      continue;
+    }
+    if (lists[c]->count > 0) {
+      return cli_fails("%s: the header has the column %s: leave that option out", sheet.source,
+                       names[c]);
+    }
+    lists[c]->count = sheet.count;
+    lists[c]->items = cli_allocate(sheet.count, sizeof *lists[c]->items);
+    for (size_t i = 0; i < sheet.count; i++) {
+      lists[c]->items[i] = cli_sheet_number(&sheet, i, c);
+      if (isnan(lists[c]->items[i])) {
+        return cli_fails("%s: line %llu: %s: there is no number", sheet.source,
+                         (unsigned long long)sheet.lines[i], names[c]);
+      }
+    }
+  }
+  return sheet.count > 0 || cli_fails("%s: it has no rows", sheet.source);
+}
+
 static int check(cli_settings *settings) {
   const char *name;
+  if (settings->operand != NULL && !read_file(settings)) {
+    return CLI_FAILED;
+  }
   const size_t albedos = settings->albedo.count;
   if (albedos == 0) {
-    return cli_fail_usage("give --albedo, and --mean-free-path");
+    return cli_fail_usage("give --albedo, and --mean-free-path; or FILE, which has them");
   }
   const cli_numbers *lengths = cli_lengths_find(settings, &name);
   if (lengths == NULL) {
@@ -197,15 +254,20 @@ static int run_invert(const cli_settings *settings, dipole_client *client) {
 
 const cli_command cli_command_invert = {
     .name = "invert",
+    .operand = "[FILE]",
     .about = "Find the medium that has a given albedo: sigma_a and sigma_s",
     .more = "Takes a diffuse albedo and a length, and finds the coefficients of a medium that has "
             "them by a model. sigma_t' is sigma_a + sigma_s (1 - g). The exit status is 3 if there "
-            "is no such medium for some channel.",
+            "is no such medium for some channel.\n"
+            "FILE is CSV with the columns albedo and mean_free_path (or another length; as the "
+            "options, with _ for -); - is standard input. Each row is a channel. For images, see "
+            "`dipole texture`." CLI_CSV_TEXT,
     .formats = "table,csv,json",
     .options = {options},
     .check = check,
     .run = run_invert,
     .examples = "  dipole invert --albedo 0.44,0.22,0.13 --mean-free-path 1.3,0.95,0.67\n"
+                "  dipole invert colours.csv --format csv | dipole points --r 1 > with_R.csv\n"
                 "  dipole invert --albedo 0.8 --diffuse-mean-free-path 2 --g 0.9 --eta 1.4\n"
                 "  dipole invert --albedo 0.8,0.5,0.2 --srgb --extinction-path 1 --light diffuse "
                 "--model transport\n"

@@ -83,7 +83,7 @@ model,channel,wanted_albedo,given,length,sigma_a,sigma_s,g,eta,albedo,status
 better,1,0.5,extinction-path,1,0.02565594071782214,0.9743440592821778,0,1.3,0.49999999999999967,ok
 
 $ dipole invert
-! dipole invert: give --albedo, and --mean-free-path
+! dipole invert: give --albedo, and --mean-free-path; or FILE, which has them
 ! `dipole invert --help` says more.
 ? 2
 
@@ -103,7 +103,7 @@ $ dipole invert --albedo 0.1,0.2 --mean-free-path 1,2,3
 ? 2
 
 $ dipole invert --albedo half --mean-free-path 1
-! dipole invert: --albedo: 'half' is no number (or several, separated by commas)
+! dipole invert: --albedo: 'half' is no decimal number
 ! `dipole invert --help` says more.
 ? 2
 
@@ -134,4 +134,26 @@ $ dipole invert --albedo 0.1 --mean-free-path 1 --model skin-red
 
 $ dipole invert --albedo 0.1 --mean-free-path 1 --model multipole
 ! dipole invert: bad-value: thickness: allowed: above 0 mm: this model is of a slab
+? 1
+
+$ printf 'name,albedo,mean_free_path\na,0.25,1.5\nb,0.75,1.5\n' > colours.csv; dipole invert colours.csv --model better --format csv
+model,channel,wanted_albedo,given,length,sigma_a,sigma_s,g,eta,albedo,status
+better,1,0.25,mean-free-path,1.5,0.06418382138301043,0.6024828452836561,0,1.3,0.2500000000000001,ok
+better,2,0.75,mean-free-path,1.5,0.002808601778911392,0.6638580648877552,0,1.3,0.75,ok
+
+$ printf 'albedo\n0.25\n\n0.75\n' | dipole invert - --mean-free-path 1,2 --g 0.8 --eta 1.4 --model better --format csv
+model,channel,wanted_albedo,given,length,sigma_a,sigma_s,g,eta,albedo,status
+better,1,0.25,mean-free-path,1,0.08006372314328833,4.599681384283559,0.8,1.4,0.25000000000000006,ok
+better,2,0.75,mean-free-path,2,0.001605803268234967,2.4919709836588253,0.8,1.4,0.7499999999999999,ok
+
+$ dipole invert colours.csv --mean-free-path 1
+! dipole invert: colours.csv: the header has the column mean_free_path: leave that option out
+? 1
+
+$ printf 'albedo,g\n0.25,0.8\n' | dipole invert - --mean-free-path 1
+! dipole invert: standard input: the header has the column g: all rows have that of --g; rename it
+? 1
+
+$ printf 'albedo,mean_free_path\n0.25,\n' | dipole invert -
+! dipole invert: standard input: line 2: mean_free_path: there is no number
 ? 1

@@ -45,6 +45,7 @@ def folder(tmp_path):
     (tmp_path / "build").symlink_to(BUILD)
     (tmp_path / "clients").symlink_to(TOP / "clients")
     (tmp_path / "samples.csv").write_text("sigma_a,sigma_s,g,eta,r\n0.032,0.74,0,1.3,1\n")
+    (tmp_path / "colours.csv").write_text("albedo,mean_free_path\n0.4,1\n")
     (tmp_path / "points.csv").write_text("x,y,z,power\n0,0,0,1\n")
     (tmp_path / "queries.csv").write_text("x,y,z\n0,0,1\n")
     radius = '<input name="subsurface_radius_scale" value="1, .5, .2"/>'
