@@ -68,7 +68,7 @@ typedef struct varying_part {
   uint64_t first; /* index in the request of the part's first value */
   uint64_t count;
   core_varying_range range; /* range of all values so far */
-  double model_error;       /* the largest so far against `ruler`; NAN: nothing was compared */
+  double model_error;       /* largest error so far against transport; NAN: nothing was compared */
 } varying_part;
 
 /* Begins a part. Zeroes the padding of its arrays. */

@@ -212,7 +212,7 @@ enum { GAUSSIANS_MIN = 2, GAUSSIANS_MAX = 12 };
  * Laird, Rubin 1977): a Gaussian of variance v has the density r / v e^(-r^2 / 2 v) of radii. Shares
  * stay positive, and their sum 1. */
 static void fit_gaussians(const double *r_mm, size_t count, double shares[], double variances[]) {
-  enum { ROUNDS = 300, EVERY = 4 }; /* every so many radii are enough */
+  enum { ROUNDS = 300, EVERY = 4 }; /* one of EVERY radii is used, which is enough */
   const double least = r_mm[CLI_EDGE_RADII / 20], most = r_mm[CLI_EDGE_RADII - CLI_EDGE_RADII / 50];
   for (size_t k = 0; k < count; k++) {
     const double width = least * pow(most / least, (double)k / (double)(count - 1));

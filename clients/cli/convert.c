@@ -23,8 +23,8 @@ enum colour_kind {
 enum length_kind { EXTINCTION, CLASSICAL_LENGTH, SKIN, BURLEY, BLENDER, UNREAL };
 
 /* How --format native writes a material: a text before it, formats of a parameter with three
- * numbers and of one with a single number, and a text after it. Both texts may name the
- * element, which is that of MaterialX, or the extension of glTF, in files. */
+ * numbers and of one with a single number, and a text after it. A %s in the two texts is replaced by
+ * the element. In files, this is the element of MaterialX, or the extension of glTF. */
 typedef struct native_form {
   const char *first, *three, *one, *last, *element;
 } native_form;
@@ -106,8 +106,8 @@ static const cli_option options[] = {
     CLI_OPTION(NUMBERS, colour, NULL, "colour, 0 to 1, linear; one value for each channel"),
     CLI_OPTION(SWITCH, srgb, NULL, "the colours are sRGB values"),
     CLI_OPTION(NUMBERS, length, NULL,
-               "the length that the convention names, in its unit, scale included; a single value "
-               "is for all channels"),
+               "the convention's length times its scale, in its unit; a single value is for all "
+               "channels"),
     CLI_UNIT_OPTION,
     {0},
 };

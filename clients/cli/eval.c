@@ -611,7 +611,11 @@ static void write_table(const void *context) {
                  report->model_count * profile->channel_count, put_value, report);
   fputs("numerical error: at most, against the model's formula", stdout);
   if (report->draw == NULL && report->most > 0) {
-    printf(", up to %s = %.6g %s", report->place, report->most, unit_of_places(report));
+    printf(", at %s = ", report->place);
+    if (report->least < report->most) {
+      printf("%.6g to ", report->least);
+    }
+    printf("%.6g %s", report->most, unit_of_places(report));
   }
   printf("\nmodel error: the largest, of the model against radiative transport%s\n",
          report->diverges ? ", at r > 0: transport diverges at r = 0" : "");

@@ -391,7 +391,7 @@ static bool request_side(dipole_client *client, report *of, const batch *some,
                          dipole_error *error) {
   const dipole_choice *similarity = cli_choice(of->profile.info, DIPOLE_NOTE, "similarity");
   const double g = query.g + (side == G_BELOW ? -G_CHANGE : G_CHANGE);
-  query.g = round(g * 1e9) / 1e9; /* .9 + .05 is .95, which transport's table holds */
+  query.g = round(g * 1e9) / 1e9; /* .9 + .05 exceeds .95, the table's largest g */
   query.residuals = false;
   dipole_fits *fits;
   if (!CLI_RETRY(of->settings, error, dipole_fit(client, &query, &fits, error))) {

@@ -242,7 +242,7 @@ const cli_command cli_command_gather = {
         "by half the radius of a disc of a point's area." CLI_CSV_TEXT,
     .formats = "csv,table,json",
     .options = {cli_medium_options, cli_layer_options, options},
-    .examples = "  dipole gather points.csv queries.csv --medium skin1 --tolerance 1e-3 > M.csv\n"
+    .examples = "  dipole gather points.csv queries.csv --medium skin1 --channel red > M.csv\n"
                 "  dipole gather points.csv queries.csv --medium marble --model better\n",
     .check = check,
     .run = run_gather,

@@ -3,6 +3,7 @@
 #include <assert.h>
 #include <errno.h>
 #include <getopt.h>
+#include <math.h>
 #include <stdlib.h>
 #include <string.h>
 
@@ -207,9 +208,16 @@ static bool read_count(const char *text, uint64_t *value) {
 
 #define DECIMAL_POINT "number: write a decimal point, as in 0.05"
 
+/* Says what is expected in place of a text that decimal_read() refuses. */
+static const char *expected_number(const char *text) {
+  return isinf(strtod(text, NULL)) ? "number up to 1.8e308" : "decimal number";
+}
+
 /* These return NULL, or what is expected if it is wrong. */
 static const char *read_number(const char *text, double *number) {
-  return decimal_read(text, number) ? NULL : strchr(text, ',') != NULL ? DECIMAL_POINT : "number";
+  return decimal_read(text, number)  ? NULL
+         : strchr(text, ',') != NULL ? DECIMAL_POINT
+                                     : expected_number(text);
 }
 
 static const char *read_numbers(const char *text, cli_numbers *numbers) {
@@ -220,7 +228,7 @@ static const char *read_numbers(const char *text, cli_numbers *numbers) {
   numbers->count = parts.count;
   for (size_t i = 0; i < parts.count; i++) {
     if (!decimal_read(parts.items[i], &numbers->items[i])) {
-      expected = "number (or several, separated by commas)";
+      expected = parts.count > 1 ? "list of decimal numbers up to 1.8e308" : expected_number(text);
     } else if (decimal_starts_with_zero(parts.items[i])) {
       expected = "list of numbers: one of them starts with a 0; write a decimal point, as in 0.05";
     }
@@ -466,7 +474,7 @@ void cli_options_help(const cli_command *command) {
     }
   }
   printf("\nExit status: 0 done, 1 failed, 2 wrong command line, 3 some rows or values are bad\n"
-         "(points, invert, texture).\n"
+         "(points, invert, texture, fit).\n"
          "\nExamples\n%s",
          command->examples);
 }

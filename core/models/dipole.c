@@ -14,6 +14,9 @@
  *   BOUNDARY  A = (1 + 2C1) / (1 - 2C1)  A = (1 + 3C2) / (1 - 2C1)
  *   EXITANCE  C_phi = 0, C_E = 1         C_phi = (1 - 2C1) / 4, C_E = (1 - 3C2) / 2
  *
+ * lanes_share_dipole() in lanes.h computes A, C_phi and C_E, and lane_dipole_of() D, mu and p. C1 and
+ * C2 are Fresnel moments for eta.
+ *
  * Domain: every medium that core_medium_check() accepts; radii from 0 to infinity.
  *
  * Error, in the epsilon of the evaluator: DIPOLE_ERROR_EPSILONS epsilon (1 + mu_tr d1), relative,
@@ -80,15 +83,15 @@ enum coefficient {
   MU_SQUARED_LO,
   TRANSFER_FLUX, /* p C_E / 2: the flux's weight in R(f) */
   TRANSFER_PHI,  /* p C_phi / (2 D) (z2 - z1): the fluence's weight in R(f) */
-  /* the derivatives of ln R, in units of z1; BY_... are derivatives by ln a, times 1 - a, where a =
-   * sigma_a / sigma_t' */
-  ABSORBED,  /* a */
+  /* for the derivatives of ln R, with lengths in units of z1; each BY_... is a derivative by ln a,
+   * times 1 - a */
+  ABSORBED,  /* a = sigma_a / sigma_t' */
   SCATTERED, /* 1 - a */
   PHI,       /* C_phi / D */
   FLUX,      /* C_E */
-  BY_MU,     /* derivative of ln mu */
+  BY_MU,     /* of ln mu */
   BY_PHI,    /* of ln(C_phi / D); those of ln D and of ln(z2 - z1) are the opposite */
-  BY_POWER,  /* derivative of ln p */
+  BY_POWER,  /* of ln p, p as in R(r) above */
   COEFFICIENTS
 };
 _Static_assert((int)COEFFICIENTS <= CORE_COEFFICIENTS_MAX, "the profile has room for them");

@@ -134,7 +134,7 @@ static inline void lanes_share_dipole(double *shared, int variant, core_fresnel 
   const double lost =
       (variant & CORE_DIPOLE_BOUNDARY) ? fresnel.one_minus_3c2 : fresnel.one_minus_2c1;
   shared[LANES_GROSJEAN] = (variant & CORE_DIPOLE_GROSJEAN) != 0;
-  shared[LANES_Z2_PER_D] = 4 * (2 - lost) / fresnel.one_minus_2c1;
+  shared[LANES_Z2_PER_D] = 4 * (2 - lost) / fresnel.one_minus_2c1; /* 4 A */
   shared[LANES_C_PHI] = exitance ? 0.25 * fresnel.one_minus_2c1 : 0;
   shared[LANES_C_FLUX] = exitance ? 0.5 * fresnel.one_minus_3c2 : 1;
   shared[LANES_C_BETWEEN] = exitance ? 2 - lost : 0;

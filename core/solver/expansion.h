@@ -76,8 +76,9 @@ typedef struct expansion {
   size_t nodes;
   double *alpha, *mu, *weight, *psi;
   expansion_boundaries boundaries;
-  double *reflection[EXPANSION_ETAS_MAX]; /* F = <psi mu F psi>, with the signs of the formulas */
-  double *entering;                       /* [boundary] <mu T>: light that enters */
+  /* <psi mu F psi> with Fresnel's reflectance F(mu); rows of odd orders have the formulas' sign */
+  double *reflection[EXPANSION_ETAS_MAX];
+  double *entering; /* [boundary] <mu T>: light that enters */
   /* [boundary][1 + cone] <mu T psi>, m = 0, over all angles, then over those of a cone */
   double *exit[EXPANSION_ETAS_MAX][1 + EXPANSION_CONES_MAX];
 } expansion;

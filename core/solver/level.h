@@ -67,8 +67,8 @@ bool solver_goes_on(size_t level, double worst, double before, double tolerance)
 /* Returns whether *stop is true; stop may be NULL. */
 bool solver_stops(const atomic_bool *stop);
 
-/* Returns how many moments of a phase function are kept: up to `most`, those from the last one on
- * that is larger than `least`. */
+/* Returns how many moments of a phase function are kept: at most `most`, without the last ones of
+ * size up to `least`, but 2 or more. */
 size_t solver_moments_kept(const solver_phase *phase, double least, size_t most);
 
 /* Truncates a phase function to `count` moments (delta-M): sets moment[count], and *to for a medium

@@ -219,8 +219,8 @@ transport_slice *transport_slice_create(const transport_table *table, double g, 
 void transport_slice_look_up(const transport_slice *slice, double albedo, double kappa,
                              transport_series *series);
 
-/* The totals of an albedo that is covered, for a beam at right angles and for diffuse light, also if
- * g is 0. */
+/* The share that leaves of the light that entered, by a beam at right angles or as diffuse light.
+ * The table has to cover the albedo; g may be 0. */
 typedef struct transport_slice_sums {
   double beam;
   double diffuse;

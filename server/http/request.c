@@ -158,7 +158,8 @@ static wire_error add_pair(json_t *object, char *pair) {
     return bad_value("query", "names without commas");
   }
   if (json_object_get(object, pair) != NULL) {
-    return bad_value("query", "each name once: a list has commas, as in r=0.5,1,2");
+    return bad_value("query",
+                     "each name once: a list has commas, as in r=0.5,1,2; layers need POST");
   }
   return json_object_set_new_nocheck(object, pair, make_value(text, count)) == 0 ? wire_error_none()
                                                                                  : no_memory();
@@ -194,8 +195,9 @@ static const json_t *element_of(const json_t *value, size_t index) {
                               : value;
 }
 
-/* Reads a number, or the texts inf and -inf; in a query all numbers are texts, and one with a leading
- * zero is none: a list 0,05 is meant as 0.05. Returns false, and sets *number to NaN, if it is none. */
+/* Reads a number, or the texts inf and -inf. In a query all numbers are texts; a text such as 05 is
+ * refused, because who writes the list 0,05 means 0.05. If this fails, it returns false and sets
+ * *number to NaN. */
 static bool parse_number(const json_t *value, bool in_query, double *number) {
   const char *text = json_string_value(value);
   *number = json_is_number(value) ? json_number_value(value) : (double)NAN;
@@ -844,7 +846,7 @@ static bool put_fixed(struct translation *t, const schema_field *fields, size_t 
   return true;
 }
 
-/* ---- all of it ------------------------------------------------------------------------------- */
+/* ---- the whole request ----------------------------------------------------------------------- */
 
 static bool is_known(const schema_message *message, const char *key) {
   const char *name;

@@ -483,7 +483,7 @@ static bool start_again(struct eval_job *eval) {
   if (!choice_again(&eval->choice, eval->lookup.fault, &eval->request, eval->radii)) {
     return false;
   }
-  /* Passes that still hold values for the old model must not write them over the new values. */
+  /* A pass that evaluates the old model may still run: it ends before new values are written. */
   batch_finish(&eval->job.context->batch, stats_of(eval));
   free(eval->head);
   eval->head = NULL;

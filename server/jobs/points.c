@@ -15,7 +15,7 @@ enum {
   BUILD_NS = 1000000000  /* ns for which one call builds a set's tree */
 };
 
-/* What is freed at once. Returning 8 MiB to the system takes less than a millisecond. */
+/* A thread of its own frees a larger set. Returning 8 MiB to the system takes less than a millisecond. */
 #define FREED_AT_ONCE_BYTES ((uint64_t)8 << 20)
 
 /* For each part of a set that is this large, its client has frame_timeout_ms. */

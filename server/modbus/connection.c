@@ -300,7 +300,7 @@ static void start_client(struct client *client) {
 /* Bytes that have arrived by now are still read. */
 static void stop_client(struct client *client) {
   struct modbus_connection *c = connection_of(client);
-  int unread = 1; /* with TLS: until the transport tells that there is nothing */
+  int unread = 1; /* with TLS it stays 1 until the transport tells that nothing is unread */
   if (c->closing) {
     return;
   }

@@ -106,7 +106,7 @@ static void keep_walks(core_parameters *parameters) {
   }
 }
 
-/* Sets the fields of a request that have no registers, or that do not count. */
+/* Sets the fields that have no registers, and clears those that this request does not use. */
 static void complete(enum registers_job_kind kind, core_parameters *parameters, void *request) {
   const uint32_t parameter_count = schema_count_parameters(parameters);
   wire_eval_request *eval = request;

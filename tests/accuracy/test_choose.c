@@ -1,4 +1,5 @@
-/* The choice by tolerance: what is promised is what the prepared profile states, and its edges. */
+/* The choice by tolerance: the prepared profile keeps the error that the choice promised; costs; and
+ * requests that nothing can serve. */
 #include <math.h>
 
 #include "core/choose.h"

@@ -10,7 +10,8 @@
 
 static const double pi = 3.14159265358979323846;
 
-/* Steep, rising and flat towards the source; without an end, and with one. */
+/* Towards the source R is like 1 / r, like -ln r, or constant. Far away it falls like 1 / r^3, or
+ * underflows. */
 static const struct {
   unsigned model;
   core_medium medium;

@@ -29,14 +29,7 @@ static core_medium medium_of(double ratio, double g, double eta) {
   return (core_medium){ratio / (1 + ratio), 1 / (1 + ratio) / (1 - g), g, eta};
 }
 
-/* ---- numbers of others ---------------------------------------------------------------------- */
-
 static const unsigned evaluators[] = {CORE_EVALUATOR_F64, CORE_EVALUATOR_F32, CORE_EVALUATOR_LUT};
-
-struct worst {
-  double off, share, stated;
-  size_t count;
-};
 
 /* ---- the solver ----------------------------------------------------------------------------- */
 

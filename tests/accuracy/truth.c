@@ -488,7 +488,8 @@ static void prepare_known(struct subject *s, enum evaluator e, char *const colum
   form_prepare(&s->form, id, s->moments, &s->medium, &s->parameters);
 }
 
-/* The cdf at the radius that is sampled for u; that of `beam` has no form. */
+/* Compares the cdf at the radius that is sampled for u with the truth. For `beam`, whose cdf has no
+ * closed form, it is the profile's own cdf. */
 static void compare_known_sample(const struct subject *s, enum evaluator e, double u, quad truth) {
   const core_profile *profile = &s->profiles[e];
   const float narrow_u = (float)u;

@@ -19,7 +19,7 @@ classical  blue        0.48     1.01  0  1.3    0.13101          3.0e-14      8.
 better     red        0.032     0.74  0  1.3   0.404808          7.1e-15      1.6e-01        f64
 better     green       0.17     0.88  0  1.3   0.162793          1.5e-14      2.4e-01        f64
 better     blue        0.48     1.01  0  1.3  0.0701464          2.6e-14      3.9e-01        f64
-numerical error: at most, against the model's formula, up to r = 10 mm
+numerical error: at most, against the model's formula, at r = 0 to 10 mm
 model error: the largest, of the model against radiative transport, at r > 0: transport diverges at r = 0
 errors are relative, but of ln R and its derivatives absolute, as the cdf's model error is, and
 of R_f over the albedo
@@ -77,7 +77,7 @@ model   channel  sigma_a  sigma_s    g  eta  numerical error  model error  evalu
 ------  -------  -------  -------  ---  ---  ---------------  -----------  ---------  ----------
 better  1           0.01       10  0.9  1.4          2.7e-15      2.3e-02        f64  similarity
 better  2            0.1       10  0.9  1.4          4.6e-15      1.9e-02        f64  similarity
-numerical error: at most, against the model's formula, up to r = 2 mm
+numerical error: at most, against the model's formula, at r = 2 mm
 model error: the largest, of the model against radiative transport
 errors are relative, but of ln R and its derivatives absolute, as the cdf's model error is, and
 of R_f over the albedo
@@ -159,7 +159,7 @@ model   channel  sigma_a  sigma_s    g  eta    albedo  numerical error  model er
                     1/mm     1/mm                   1
 ------  -------  -------  -------  ---  ---  --------  ---------------  -----------  ---------  ----------
 better  1           0.01       10  0.9  1.4  0.605953          1.0e-09      3.5e-02        f64  similarity
-numerical error: at most, against the model's formula, up to f = 1 1/mm
+numerical error: at most, against the model's formula, at f = 0.1 to 1 1/mm
 model error: the largest, of the model against radiative transport
 errors are relative, but of ln R and its derivatives absolute, as the cdf's model error is, and
 of R_f over the albedo
@@ -214,7 +214,7 @@ model      channel  sigma_a  sigma_s  g  eta    albedo  numerical error  model e
 transport  red        0.032     0.74  0  1.3  0.439458          3.3e-06      0.0e+00        f32
 transport  green       0.17     0.88  0  1.3  0.213259          3.3e-06      0.0e+00        f32
 transport  blue        0.48     1.01  0  1.3  0.115435          3.3e-06      0.0e+00        f32
-numerical error: at most, against the model's formula, up to r = 2 mm
+numerical error: at most, against the model's formula, at r = 1 to 2 mm
 model error: the largest, of the model against radiative transport
 errors are relative, but of ln R and its derivatives absolute, as the cdf's model error is, and
 of R_f over the albedo
@@ -243,7 +243,7 @@ model   channel  sigma_a  sigma_s  g  eta  numerical error  model error  evaluat
                     1/mm     1/mm
 ------  -------  -------  -------  -  ---  ---------------  -----------  ---------  -----
 better  1          0.032     0.74  0  1.3          4.6e-15      1.4e-02        f64
-numerical error: at most, against the model's formula, up to r = 1 mm
+numerical error: at most, against the model's formula, at r = 1 mm
 model error: the largest, of the model against radiative transport
 errors are relative, but of ln R and its derivatives absolute, as the cdf's model error is, and
 of R_f over the albedo
@@ -275,7 +275,7 @@ $ dipole eval --sigma-a 0.032 --sigma-s 0.74 --model gaussians --r 1 --fit-model
 ? 2
 
 $ dipole eval --sigma-a 0.032 --sigma-s 0.74 --model better --r 1 --cos-in x
-! dipole eval: --cos-in: 'x' is no number
+! dipole eval: --cos-in: 'x' is no decimal number
 ! `dipole eval --help` says more.
 ? 2
 
@@ -350,7 +350,7 @@ model   channel  sigma_a  sigma_s  g  eta  numerical error  model error  evaluat
                     1/mm     1/mm
 ------  -------  -------  -------  -  ---  ---------------  -----------  ---------  -----
 better  1           0.03        1  0  1.3          2.8e-15      1.3e-01        f64
-numerical error: at most, against the model's formula, up to r = 1 mm
+numerical error: at most, against the model's formula, at r = 0 to 1 mm
 model error: the largest, of the model against radiative transport, at r > 0: transport diverges at r = 0
 errors are relative, but of ln R and its derivatives absolute, as the cdf's model error is, and
 of R_f over the albedo
@@ -371,7 +371,7 @@ model      channel  sigma_a  sigma_s  g  eta  numerical error  model error  nume
                        1/mm     1/mm
 ---------  -------  -------  -------  -  ---  ---------------  -----------  ---------------  -----------  ---------  -----
 transport  1           0.03        1  0  1.3          8.5e-05      0.0e+00          8.5e-05      0.0e+00        lut
-numerical error: at most, against the model's formula, up to r = 1 mm
+numerical error: at most, against the model's formula, at r = 0 to 1 mm
 model error: the largest, of the model against radiative transport
 errors are relative, but of ln R and its derivatives absolute, as the cdf's model error is, and
 of R_f over the albedo
@@ -451,7 +451,7 @@ model   channel  sigma_a  sigma_s  g  eta  albedo  numerical error  model error 
                     1/mm     1/mm               1
 ------  -------  -------  -------  -  ---  ------  ---------------  -----------  ---------  -----
 better  1              0        1  0  1.3       1          1.8e-15      8.8e-01        f64
-numerical error: at most, against the model's formula, up to r = 1000 mm
+numerical error: at most, against the model's formula, at r = 0 to 1000 mm
 model error: the largest, of the model against radiative transport, at r > 0: transport diverges at r = 0
 errors are relative, but of ln R and its derivatives absolute, as the cdf's model error is, and
 of R_f over the albedo

@@ -66,7 +66,7 @@ $ dipole gather points.csv queries.csv --medium skin1
 ? 2
 
 $ dipole gather points.csv queries.csv --medium skin1 --channel red --tolerance much
-! dipole gather: --tolerance: 'much' is no number
+! dipole gather: --tolerance: 'much' is no decimal number
 ! `dipole gather --help` says more.
 ? 2
 

@@ -40,13 +40,18 @@ $ dipole evaluate
 ? 2
 
 $ dipole invert --help
-Usage: dipole invert [OPTION]...
+Usage: dipole invert [OPTION]... [FILE]
 
 Find the medium that has a given albedo: sigma_a and sigma_s.
 
 Takes a diffuse albedo and a length, and finds the coefficients of a medium that has them by a
 model. sigma_t' is sigma_a + sigma_s (1 - g). The exit status is 3 if there is no such medium for
 some channel.
+
+FILE is CSV with the columns albedo and mean_free_path (or another length; as the options, with _
+for -); - is standard input. Each row is a channel. For images, see `dipole texture`. CSV has a
+header, and commas, semicolons or tabs between its cells. Lines that start with # are comments,
+but below the header only those with one cell.
 
 Medium
   --albedo X[,X...]     diffuse albedo: the share of the power that entered which leaves, 0 to 1,
@@ -92,10 +97,11 @@ Options of all commands
   --help                print this text
 
 Exit status: 0 done, 1 failed, 2 wrong command line, 3 some rows or values are bad
-(points, invert, texture).
+(points, invert, texture, fit).
 
 Examples
   dipole invert --albedo 0.44,0.22,0.13 --mean-free-path 1.3,0.95,0.67
+  dipole invert colours.csv --format csv | dipole points --r 1 > with_R.csv
   dipole invert --albedo 0.8 --diffuse-mean-free-path 2 --g 0.9 --eta 1.4
   dipole invert --albedo 0.8,0.5,0.2 --srgb --extinction-path 1 --light diffuse --model transport
   dipole invert --albedo 0.1,0.5,0.9 --mean-free-path 1 --model classical --format csv
@@ -182,12 +188,12 @@ $ dipole media --retry-ms soon
 ? 2
 
 $ dipole eval --sigma-a 0.1 --sigma-s 1 --g 0x1p-1
-! dipole eval: --g: '0x1p-1' is no number (or several, separated by commas)
+! dipole eval: --g: '0x1p-1' is no decimal number
 ! `dipole eval --help` says more.
 ? 2
 
 $ dipole eval --sigma-a 0.1 --sigma-s 1 --g 0,5,
-! dipole eval: --g: '0,5,' is no number (or several, separated by commas)
+! dipole eval: --g: '0,5,' is no list of decimal numbers up to 1.8e308
 ! `dipole eval --help` says more.
 ? 2
 
@@ -212,17 +218,17 @@ $ dipole invert --eta 1,4
 ? 2
 
 $ dipole eval --sigma-a 0.1 --sigma-s 1 --g ' 0'
-! dipole eval: --g: ' 0' is no number (or several, separated by commas)
+! dipole eval: --g: ' 0' is no decimal number
 ! `dipole eval --help` says more.
 ? 2
 
 $ dipole eval --sigma-a 0.1 --sigma-s 1 --eta 1e999
-! dipole eval: --eta: '1e999' is no number (or several, separated by commas)
+! dipole eval: --eta: '1e999' is no number up to 1.8e308
 ! `dipole eval --help` says more.
 ? 2
 
 $ dipole eval --sigma-a 0.1 --sigma-s 1 --to 1mm
-! dipole eval: --to: '1mm' is no number
+! dipole eval: --to: '1mm' is no decimal number
 ! `dipole eval --help` says more.
 ? 2
 

@@ -63,7 +63,7 @@ $ dipole media --format json | head -5
 
 $ dipole info --format csv | grep '^models,better,\|^parameters\|^limits,max_frame'
 models,better,"d'Eon 2012, Table 2"
-parameters,tolerance,"1: largest relative error: with a model numerical (lut: else 1e-4), else total (1e-12 to 1)"
+parameters,tolerance,"1: relative error: numerical if a model is named (lut: default 1e-4), else total (1e-12 to 1)"
 parameters,cos_in,"1: cosine of the angle of incidence, for S; else 1 (0 to 1)"
 parameters,cos_out,"1: cosine of the angle of exit, for S; else 1 (0 to 1)"
 parameters,surface_albedo,"1: Burley's A; else the better dipole's albedo (0 to 1)"
@@ -193,7 +193,7 @@ $ dipole top --interval 0
 ? 2
 
 $ dipole top --interval soon
-! dipole top: --interval: 'soon' is no number
+! dipole top: --interval: 'soon' is no decimal number
 ! `dipole top --help` says more.
 ? 2
 

@@ -61,7 +61,7 @@ $ dipole sample --medium skin1 --u 0.5 --count 3
 ? 2
 
 $ dipole sample --medium skin1 --u half
-! dipole sample: --u: 'half' is no number (or several, separated by commas)
+! dipole sample: --u: 'half' is no decimal number
 ! `dipole sample --help` says more.
 ? 2
 

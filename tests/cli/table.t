@@ -34,7 +34,7 @@ model      channel    sigma_a  sigma_s  g  eta    albedo  numerical error  model
                          1/mm     1/mm                 1
 ---------  ---------  -------  -------  -  ---  --------  ---------------  -----------  ---------  -----
 transport  skin1 red    0.032     0.74  0  1.3  0.439458          8.3e-05      0.0e+00        lut
-numerical error: at most, against the model's formula, up to r = 1 mm
+numerical error: at most, against the model's formula, at r = 1 mm
 model error: the largest, of the model against radiative transport
 errors are relative, but of ln R and its derivatives absolute, as the cdf's model error is, and
 of R_f over the albedo

@@ -53,7 +53,7 @@ wavelength   model    sigma_a  sigma_s    g  eta    albedo  numerical error  mod
 ----------  ------  ---------  -------  ---  ---  --------  ---------------  -----------  ---------  ----------
        660  better  0.0461254  31.0129  0.9  1.4  0.544942          8.0e-15      3.4e-02        f64  similarity
        850  better  0.0325848  21.6531  0.9  1.4  0.543068          6.2e-15      3.4e-02        f64  similarity
-numerical error: at most, against the model's formula, up to r = 5 mm
+numerical error: at most, against the model's formula, at r = 1 to 5 mm
 model error: the largest, of the model against radiative transport
 errors are relative, but of ln R and its derivatives absolute, as the cdf's model error is, and
 of R_f over the albedo

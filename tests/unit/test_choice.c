@@ -115,7 +115,8 @@ UNIT_TEST(only_what_misses_is_solved_finely) {
   assert_int_equal(solved, 2);
 }
 
-/* Layers are solved to the tolerance, however loose, and a refusal names what is kept, too. */
+/* Layers are solved to the tolerance, however loose. A refusal names the least tolerance that can be
+ * kept. */
 UNIT_TEST(a_tolerance_chooses_the_grids_of_layers) {
   static const core_medium skin[] = {{0.5, 10, 0.8, 1.4, 0.1}, {0.05, 10, 0.8, 1.4, 0}};
   static const double usual[] = {8e-3}, missed[] = {1.2e-2}, finest[] = {2e-3};

@@ -105,7 +105,7 @@ def _bits(info: Info, kind: str, names: str | Iterable[str]) -> dict[int, str]:
 def _given(
     sigma_a: Any, sigma_s: Any, colour: Any, length: Any, r: Any, u: Any
 ) -> tuple[dict[str, Any], int]:
-    """Returns the arrays that are given, by name, and what the third one holds."""
+    """Returns the given arrays by name, and whether the last one is r, u, or neither."""
     coloured = colour is not None or length is not None
     if coloured == (sigma_a is not None or sigma_s is not None):
         raise ArgumentError("sigma_a and sigma_s, or colour and length: give one pair")
