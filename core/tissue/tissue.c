@@ -9,7 +9,8 @@
   { 0, NULL, NULL }
 
 const core_choice core_properties[] = {
-#define CORE_PROPERTY(id, IDENT, name, least, most, usual, about) {id, name, about},
+#define CORE_PROPERTY(id, IDENT, name, least, most, usual, about)                                  \
+  {id, name, about " (" #least " to " #most ")"},
 #include "core/tissue/tissue.def"
     END,
 };

@@ -1,9 +1,9 @@
 ## dipole tissue: what is there, and coefficients.
 $ dipole tissue --format csv | grep -E '^(kind|tissue,liver|property,hb|spectrum,(hb|water))'
 kind,name,about
-tissue,liver,"scattering: Jacques 2013 T1; amounts: VTS"
-property,hbo2_uM,"oxyhaemoglobin, uM of tetramer; whole blood has 2326 uM"
-property,hb_uM,"deoxyhaemoglobin, uM of tetramer"
+tissue,liver,"scattering: Jacques 2013 T1 row 28; amounts: VTS"
+property,hbo2_uM,"oxyhaemoglobin, uM of tetramer; whole blood has 2326 uM (0 to 10000)"
+property,hb_uM,"deoxyhaemoglobin, uM of tetramer (0 to 10000)"
 spectrum,hbo2_uM,"250 to 1000 nm: Prahl 1998, omlc.org (prahl)"
 spectrum,hb_uM,"250 to 1000 nm: Prahl 1998, omlc.org (prahl)"
 spectrum,hbo2_uM,"650 to 1042 nm: Cope 1991, UCL (ucl)"
@@ -90,7 +90,7 @@ $ for one in lever liver,c=3 liver,fat adult-head liver,fat=2; do dipole tissue 
 2
 1
 1
-! dipole tissue: --tissue: 'lever' is unknown; this daemon has skin, epidermis, dermis, breast, breast-tumour, brain, white-matter, liver, muscle, prostate, adult-head, forearm. Is it liver?
+! dipole tissue: --tissue: 'lever' is unknown; this daemon has skin, epidermis, dermis, breast, breast-tumour, brain, white-matter, liver, muscle, prostate, adult-head, forearm, subcutis. Is it liver?
 ! `dipole tissue --help` says more.
 ! dipole tissue: --tissue liver,c=3: 'c' is no property; they are hbo2_uM, hb_uM, water_fraction, fat_fraction, melanosome_fraction, bilirubin_uM, carotene_uM, cco_ox_uM, cco_red_uM, blood_fraction, bloodless_fraction, a_per_mm, b, rayleigh_share, g, eta, vessel_radius_mm, thickness_mm
 ! `dipole tissue --help` says more.
