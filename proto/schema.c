@@ -237,6 +237,14 @@ static uint64_t read_named(const schema_payload *payload, const uint8_t *bytes, 
   return 0;
 }
 
+wire_error schema_check_value(const schema_field *field, uint64_t bits) {
+  if ((field->list != NULL || field->ranged) && !is_allowed(field, bits)) {
+    return out_of_range(field);
+  }
+  return field->too_large > 0 && value_of(field, bits) > field->too_large ? too_large(field)
+                                                                          : wire_error_none();
+}
+
 wire_error schema_check_fields(const schema_payload *payload, const uint8_t *bytes, size_t count) {
   if (count < payload->fixed_bytes) {
     return too_short(payload);
@@ -246,11 +254,9 @@ wire_error schema_check_fields(const schema_payload *payload, const uint8_t *byt
     for (const schema_field *field = payload->structures[i]->fields; field->name != NULL; field++) {
       const size_t field_bytes = schema_field_bytes(field);
       const uint64_t bits = field_bytes <= sizeof bits ? read_bits(at, field_bytes) : 0;
-      if ((field->list != NULL || field->ranged) && !is_allowed(field, bits)) {
-        return out_of_range(field);
-      }
-      if (field->too_large > 0 && value_of(field, bits) > field->too_large) {
-        return too_large(field);
+      const wire_error error = schema_check_value(field, bits);
+      if (error.status != WIRE_STATUS_OK) {
+        return error;
       }
       if (field->zero_with != NULL && value_of(field, bits) != 0 &&
           read_named(payload, bytes, field->zero_with) == field->zero_at) {

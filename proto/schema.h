@@ -179,6 +179,9 @@ uint64_t schema_part_values(const schema_payload *payload, const void *start, un
 wire_error schema_check(const schema_payload *payload, const uint8_t *bytes, size_t count,
                         schema_layout *layout);
 
+/* Checks one value of a field against its list or range. bits: as on the wire, filled up by zeros. */
+wire_error schema_check_value(const schema_field *field, uint64_t bits);
+
 /* The two halves of schema_check(), for a message that has more to check between them: its length
  * and fields, and its parts. */
 wire_error schema_check_fields(const schema_payload *payload, const uint8_t *bytes, size_t count);

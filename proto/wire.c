@@ -106,16 +106,17 @@ wire_error wire_header_check(const wire_header *header, uint64_t max_payload_byt
 static const struct status {
   const char *name, *text;
   unsigned http, exception;
+  int scpi;
 } statuses[] = {
-#define WIRE_STATUS(code, IDENT, modbus_exception, http, name, text)                               \
-  [code] = {name, text, http, modbus_exception},
+#define WIRE_STATUS(code, IDENT, modbus_exception, http, scpi, name, text)                         \
+  [code] = {name, text, http, modbus_exception, scpi},
 #include "proto/statuses.def"
 #undef WIRE_STATUS
 };
 
 static const struct status *find_status(unsigned status) {
   static const struct status unknown = {"unknown", "an error that this version does not know", 500,
-                                        4};
+                                        4, -300};
   return status < sizeof statuses / sizeof statuses[0] ? &statuses[status] : &unknown;
 }
 
@@ -133,6 +134,10 @@ unsigned wire_status_http(unsigned status) {
 
 unsigned wire_status_exception(unsigned status) {
   return find_status(status)->exception;
+}
+
+int wire_status_scpi(unsigned status) {
+  return find_status(status)->scpi;
 }
 
 const char *wire_type_name(unsigned type) {
@@ -170,7 +175,7 @@ wire_error wire_error_not_in_list(const char *field, const core_choice *list, co
 /* ---- the list of choices --------------------------------------------------------------------- */
 
 const core_choice wire_statuses[] = {
-#define WIRE_STATUS(code, IDENT, modbus_exception, http, name, text) {code, name, text},
+#define WIRE_STATUS(code, IDENT, modbus_exception, http, scpi, name, text) {code, name, text},
 #include "proto/statuses.def"
 #undef WIRE_STATUS
     {0, NULL, NULL},

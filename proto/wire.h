@@ -31,7 +31,8 @@ enum wire_type {
 };
 
 enum wire_status {
-#define WIRE_STATUS(code, IDENT, modbus_exception, http, name, text) WIRE_STATUS_##IDENT = (code),
+#define WIRE_STATUS(code, IDENT, modbus_exception, http, scpi, name, text)                         \
+  WIRE_STATUS_##IDENT = (code),
 #include "proto/statuses.def"
 #undef WIRE_STATUS
 };
@@ -133,6 +134,7 @@ const char *wire_status_text(unsigned status);
 /* Returns the status of HTTP that stands for a status, for example 429 for BUSY. */
 unsigned wire_status_http(unsigned status);
 unsigned wire_status_exception(unsigned status); /* of Modbus */
+int wire_status_scpi(unsigned status);           /* the number of SCPI's error */
 
 /* Returns the name of a message for the type of its request or of its reply. Returns "error" for
  * WIRE_TYPE_ERROR and "unknown" for other types. */

@@ -22,6 +22,7 @@
 #include "server/observe/latency.h"
 #include "server/observe/log.h"
 #include "server/observe/metrics.h"
+#include "server/scpi/service.h"
 #include "server/store/cache.h"
 #include "server/store/media.h"
 
@@ -40,7 +41,7 @@ struct daemon {
   uv_loop_t loop;
   uv_signal_t signals[STOP_SIGNALS];
   uv_work_t first_work;
-  struct listener listeners[PASSED_MAX + (2 * OPTIONS_LIST_MAX + 2) * TCP_ADDRESSES_MAX];
+  struct listener listeners[PASSED_MAX + (3 * OPTIONS_LIST_MAX + 2) * TCP_ADDRESSES_MAX];
   size_t listener_count;
   struct metrics *metrics;   /* NULL without --metrics */
   struct http_service *http; /* NULL without --http */
@@ -243,6 +244,14 @@ static bool serve_modbus_at(struct daemon *daemon, const char *url) {
   return open_listener(daemon, url, secure ? modbus_service_admit_tls : modbus_service_admit);
 }
 
+static bool serve_scpi_at(struct daemon *daemon, const char *address) {
+  const size_t opened =
+      listener_open_option(&daemon->listeners[daemon->listener_count], &daemon->server,
+                           &daemon->loop, "scpi", address, scpi_service_admit);
+  daemon->listener_count += opened;
+  return opened > 0;
+}
+
 /* Returns the runtime directory: that of systemd, or of the user, or /run for root. NULL if there
  * is none. */
 static const char *runtime_directory(void) {
@@ -366,7 +375,8 @@ static bool start_services(struct daemon *daemon) {
       !start_workers(daemon) || !set_up_handshakes(server) ||
       (options->metrics != NULL &&
        (daemon->metrics = metrics_open(server, options->metrics)) == NULL) ||
-      !open_addresses(daemon) || !open_each(daemon, &options->modbus, serve_modbus_at)) {
+      !open_addresses(daemon) || !open_each(daemon, &options->modbus, serve_modbus_at) ||
+      !open_each(daemon, &options->scpi, serve_scpi_at)) {
     return false;
   }
   if (server->modbus != NULL) {
@@ -420,6 +430,8 @@ static int run_daemon(struct daemon *daemon) {
   struct server *server = &daemon->server;
   if (!set_log_level(&server->options) || !choose_isa(server) ||
       !access_read_option("allow", &server->options.allow, &access_anyone, &server->allow) ||
+      !access_read_option("scpi-allow", &server->options.scpi_allow, &access_this_machine,
+                          &server->scpi_allow) ||
       !http_header_check_names(&server->options.http_name)) {
     return 2;
   }

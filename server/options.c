@@ -161,7 +161,8 @@ static bool read_environment(struct options *options, bool is_private) {
   for (int i = 0; i < OPTIONS; i++) {
     const struct description *option = &descriptions[i];
     const bool serves_others = option->offset == AT(listen) || option->offset == AT(modbus) ||
-                               option->offset == AT(http) || option->offset == AT(metrics);
+                               option->offset == AT(http) || option->offset == AT(metrics) ||
+                               option->offset == AT(scpi);
     if (is_private && serves_others) {
       continue;
     }

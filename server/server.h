@@ -27,7 +27,8 @@ struct budget {
 
 struct server {
   struct options options;
-  struct access allow; /* addresses that may use the binary protocol over TCP */
+  struct access allow;      /* addresses that may use the binary protocol over TCP */
+  struct access scpi_allow; /* likewise for SCPI */
   const core_isa *isa;
   struct stats stats;
   struct budget buffers;              /* budget of all connections (--max-total-bytes) */

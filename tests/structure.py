@@ -17,6 +17,7 @@ WORDS = {
     "README.md": 900,
     "proto/PROTOCOL.md": 9000,
     "proto/REGISTERS.md": 6000,
+    "proto/SCPI.md": 2000,
     "clients/GUIDE.md": 1500,
     "server/DEPLOYING.md": 1500,
     "core/MODELS.md": 1500,

@@ -1,4 +1,4 @@
-/* wire-lists: prints the lists of the wire and of the register map as JSON, for wire_tables.py. NaN
+/* wire-lists: prints the lists of the wire, of the register map and of SCPI as JSON, for wire_tables.py. NaN
  * and Infinity are numbers there. */
 #include <stdarg.h>
 #include <stdio.h>
@@ -171,11 +171,39 @@ static void put_payload(const schema_payload *payload) {
   print_form("',");
 }
 
+/* Puts a command of SCPI. TAKE is a query. */
+static void put_command(const char *pattern, unsigned forms, const char *parameters,
+                        const char *about) {
+  print_form("[%s,%s,%s,%s],", pattern,
+             forms == 1   ? ""
+             : forms == 3 ? " (?)"
+                          : "?",
+             parameters, about);
+}
+
+static void put_scpi(void) {
+  enum { SET = 1, QUERY, BOTH, TAKE };
+  print_form("'scpi':[");
+#define SCPI_COMMAND(pattern, FORMS, function, number, parameters, about)                          \
+  put_command(pattern, FORMS, parameters, about);
+#define SCPI_REGISTER(pattern, FORMS, member, most, about)                                         \
+  put_command(pattern, FORMS, FORMS == BOTH ? "<n>" : "", about);
+#define SCPI_FIELD(pattern, member, structure, field, parameters, about)                           \
+  put_command(pattern, BOTH, parameters, about);
+#define SCPI_NUMBERS(pattern, FORMS, LIST, parameters, about)                                      \
+  put_command(pattern, FORMS, parameters, about);
+#define SCPI_QUANTITY(pattern, QUANTITY, parameters, about)                                        \
+  put_command(pattern, QUERY, parameters, about);
+#include "proto/scpi.def"
+  print_form("0],");
+}
+
 int main(void) {
   print_form("{");
   put_registers();
   put_spectra();
   put_structures();
+  put_scpi();
   print_form("'messages':{");
 #define WIRE_MESSAGE(type, IDENT, name, ...) print_form("'" name "':%u,", U(type));
 #include "proto/messages.def"
@@ -183,7 +211,7 @@ int main(void) {
 #define WIRE_LIST(kind, IDENT, name, plural, list) put_list(kind, name, list);
 #include "proto/messages.def"
   print_form("],'statuses':[");
-#define WIRE_STATUS(code, IDENT, modbus_exception, http, name, text)                               \
+#define WIRE_STATUS(code, IDENT, modbus_exception, http, scpi, name, text)                         \
   print_form("[%u,'" #IDENT "',%u,%u,'" name "'],", U(code), U(modbus_exception), U(http));
 #include "proto/statuses.def"
   print_form("0],'elementwise':[");

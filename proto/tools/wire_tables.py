@@ -1,8 +1,9 @@
 """Writes the tables of the wire's structures and statuses into the blocks ```table NAMES of
-PROTOCOL.md, those of the register map between the markers of REGISTERS.md, and the messages,
-structures and lists for Python into schema.py, spectra into TISSUE.md, all from what wire-lists prints.
+PROTOCOL.md, those of the register map and of SCPI between the markers of REGISTERS.md and SCPI.md,
+the messages, structures and lists for Python into schema.py, spectra into TISSUE.md, all from what
+wire-lists prints.
 
-usage: wire-lists | wire_tables.py PROTOCOL.md REGISTERS.md schema.py TISSUE.md
+usage: wire-lists | wire_tables.py PROTOCOL.md REGISTERS.md SCPI.md schema.py TISSUE.md
 """
 
 import json
@@ -154,10 +155,15 @@ def lists_text() -> str:
     return section("Lists", "list | ids and names", [*rows, f"| errors (exceptions) | {errors} |"])
 
 
-def write_registers(path: Path) -> None:
-    begin, end = "<!-- tables: begin -->\n", "<!-- tables: end -->\n"
+def scpi_text() -> str:
+    code = lambda text: f"`{text}`".replace("|", "\\|") if text else ""
+    rows = [f"| {code(name + mark)} | {code(given)} | {about} |" for name, mark, given, about in LISTS["scpi"][:-1]]
+    return "\n".join(["| header | parameters | what it does |", "|---|---|---|", *rows, ""])
+
+
+def write_between(path: Path, tables: str, name: str = "tables") -> None:
+    begin, end = f"<!-- {name}: begin -->\n", f"<!-- {name}: end -->\n"
     before, _, rest = path.read_text().partition(begin)
-    tables = blocks_text() + jobs_text() + fields_text() + lists_text()
     path.write_text(before + begin + tables + end + rest.partition(end)[2])
 
 
@@ -165,8 +171,6 @@ PROPERTIES = [name for _, kind, entries in LISTS["lists"] if kind == "property" 
 
 
 def write_spectra(path: Path) -> None:
-    begin, end = "<!-- spectra: begin -->\n", "<!-- spectra: end -->\n"
-    before, _, rest = path.read_text().partition(begin)
     rows: dict[str, list[str]] = {}
     for name, first, last, source, table in sorted(LISTS["spectra"], key=lambda one: PROPERTIES.index(one[0])):
         of_table = "" if table == "all" else f": {table}"
@@ -174,7 +178,7 @@ def write_spectra(path: Path) -> None:
     table = "property | nm | source\n---|---|---\n" + "".join(
         f"{', '.join(names)} | {row}\n" for row, names in rows.items()
     )
-    path.write_text(before + begin + table + end + rest.partition(end)[2])
+    write_between(path, table, "spectra")
 
 
 # ---- Python --------------------------------------------------------------------------------------
@@ -218,6 +222,7 @@ def write_schema(path: Path) -> None:
 
 if __name__ == "__main__":
     write_protocol(Path(sys.argv[1]))
-    write_registers(Path(sys.argv[2]))
-    write_schema(Path(sys.argv[3]))
-    write_spectra(Path(sys.argv[4]))
+    write_between(Path(sys.argv[2]), blocks_text() + jobs_text() + fields_text() + lists_text())
+    write_between(Path(sys.argv[3]), scpi_text())
+    write_schema(Path(sys.argv[4]))
+    write_spectra(Path(sys.argv[5]))

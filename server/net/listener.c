@@ -32,7 +32,7 @@ static bool complain(const char *url, const char *why) {
 
 /* ---- admission ------------------------------------------------------------------------------- */
 
-static struct worker *least_busy(struct server *server) {
+struct worker *listener_least_busy(struct server *server) {
   struct worker *best = &server->workers[0];
   for (uint64_t i = 1; i < server->options.workers; i++) {
     struct worker *worker = &server->workers[i];
@@ -43,9 +43,10 @@ static struct worker *least_busy(struct server *server) {
   return best;
 }
 
-/* Returns the number of connections of all workers, including those that are being refused. */
+/* Returns the number of connections of the binary protocol that all workers have, including those
+ * that are being refused. */
 static uint64_t held_connections(const struct server *server) {
-  uint64_t held = 0;
+  uint64_t held = -stats_get(&server->stats, STATS_SCPI_CONNECTIONS_OPEN);
   for (uint64_t i = 0; i < server->options.workers; i++) {
     held += server->workers[i].client_count;
   }
@@ -96,7 +97,7 @@ static void give_to_worker(struct server *server, int fd, struct tls_session *se
   if (!refused) {
     stats_add(stats, STATS_CONNECTIONS_OPEN, 1);
   }
-  worker_give(least_busy(server), connection);
+  worker_give(listener_least_busy(server), connection);
 }
 
 void listener_admit(struct server *server, int fd, bool inherited) {
@@ -302,6 +303,21 @@ size_t listener_open(struct listener listeners[TCP_ADDRESSES_MAX], struct server
   }
   if (count == 0 && listeners[0].fd >= 0) {
     close(listeners[0].fd);
+  }
+  return count;
+}
+
+size_t listener_open_option(struct listener listeners[TCP_ADDRESSES_MAX], struct server *server,
+                            uv_loop_t *loop, const char *option, const char *address,
+                            listener_take *admit) {
+  int fds[TCP_ADDRESSES_MAX];
+  const size_t count = tcp_listen_option(option, address, fds);
+  for (size_t i = 0; i < count; i++) {
+    char bound[TCP_TEXT_BYTES];
+    listeners[i] = (struct listener){.server = server, .admit = admit, .fd = fds[i]};
+    tcp_bound(fds[i], bound);
+    log_line(LOG_LEVEL_INFO, "event=listening url=%s:%s", option, bound);
+    watch_listener(&listeners[i], loop);
   }
   return count;
 }

@@ -64,7 +64,7 @@ static void report_requests(const struct reporter *to) {
 static void report_replies(const struct reporter *to) {
   static const struct report_family family = {"replies", REPORT_COUNTER,
                                               "replies, by status; ok or an error"};
-#define WIRE_STATUS(code, IDENT, modbus_exception, http, name, text)                               \
+#define WIRE_STATUS(code, IDENT, modbus_exception, http, scpi, name, text)                         \
   report(to, "replies_" name, &family, "_total", "status=\"" name "\"",                            \
          counted(to, STATS_REPLIES_##IDENT));
 #include "proto/statuses.def"

@@ -2,7 +2,7 @@
 
 _Thread_local unsigned stats_shard;
 
-#define WIRE_STATUS(code, IDENT, modbus_exception, http, name, text)                               \
+#define WIRE_STATUS(code, IDENT, modbus_exception, http, scpi, name, text)                         \
   _Static_assert(STATS_REPLIES_##IDENT == STATS_REPLIES_OK + (code), "in the order of their "      \
                                                                      "codes");
 #include "proto/statuses.def"

@@ -12,7 +12,7 @@ enum stats_index {
 #include "server/observe/stats.def"
 #define WIRE_MESSAGE(type, IDENT, name, ...) STATS_REQUESTS_##IDENT,
 #include "proto/messages.def"
-#define WIRE_STATUS(code, IDENT, modbus_exception, http, name, text) STATS_REPLIES_##IDENT,
+#define WIRE_STATUS(code, IDENT, modbus_exception, http, scpi, name, text) STATS_REPLIES_##IDENT,
 #include "proto/statuses.def"
 #undef WIRE_STATUS
   STATS_RADII, /* first counter of the radii by model */

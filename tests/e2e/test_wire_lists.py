@@ -14,7 +14,7 @@ from lists import choices, read_list
 
 
 def test_everything_made_from_the_lists_is_up_to_date(tmp_path):
-    paths = ("proto/PROTOCOL.md", "proto/REGISTERS.md", "clients/python/dipole/schema.py", "core/TISSUE.md")
+    paths = ("proto/PROTOCOL.md", "proto/REGISTERS.md", "proto/SCPI.md", "clients/python/dipole/schema.py", "core/TISSUE.md")
     copies = [shutil.copy(REPOSITORY / path, tmp_path) for path in paths]
     lists = subprocess.run([BUILD / "wire-lists"], check=True, stdout=subprocess.PIPE).stdout
     tables = [sys.executable, REPOSITORY / "proto/tools/wire_tables.py", *copies]

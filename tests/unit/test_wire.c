@@ -107,7 +107,7 @@ UNIT_TEST(the_magic_reads_as_text) {
 /* ---- names -------------------------------------------------------------------------------- */
 
 UNIT_TEST(statuses_and_types_have_names) {
-#define WIRE_STATUS(code, IDENT, modbus_exception, http, name, text)                               \
+#define WIRE_STATUS(code, IDENT, modbus_exception, http, scpi, name, text)                         \
   assert_string_equal(wire_status_name(code), name);                                               \
   assert_string_equal(wire_status_text(code), text);
 #include "proto/statuses.def"

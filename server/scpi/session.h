@@ -1,0 +1,93 @@
+/* session: what one SCPI client has set, its jobs, and the answers to its message. Each connection has
+ * a session of its own, so clients do not meet. Call all functions on the worker's thread.
+ *
+ * A message is carried out unit by unit. A query of values starts a job, which the connection waits
+ * for. A fit and Monte Carlo are overlapped: later units are carried out while they run, up to a *WAI
+ * or *OPC?. An error ends its message, so that no value follows from settings that were refused.
+ */
+#ifndef DIPOLED_SCPI_SESSION_H
+#define DIPOLED_SCPI_SESSION_H
+
+#include "proto/fit.h"
+#include "server/http/text.h"
+#include "server/jobs/run.h"
+#include "server/net/client.h"
+#include "server/scpi/parse.h"
+#include "server/scpi/status.h"
+
+/* A job of the client. */
+struct scpi_task {
+  struct scpi_session *session;
+  enum { SCPI_TASK_NONE, SCPI_TASK_RUNS, SCPI_TASK_ENDS, SCPI_TASK_DONE } state;
+  struct run run;
+  struct http_text payload, reply; /* the reply is that of the last job, or empty */
+  uint64_t arrived_ns;
+  wire_error error; /* why it has failed, or OK; set when it ends */
+};
+
+enum scpi_task_index { SCPI_EVAL, SCPI_FIT, SCPI_MC, SCPI_TASKS };
+
+/* Lists of numbers that the client has sent. GIVEN: with the unit that is being carried out. */
+enum scpi_list { SCPI_GIVEN, SCPI_RADII, SCPI_PLACES, SCPI_READINGS, SCPI_DEVIATIONS, SCPI_LISTS };
+
+/* What *RST sets to the defaults. */
+struct scpi_settings {
+  wire_eval_request eval;
+  fit_start fit;
+  wire_mc_request mc;
+  wire_medium layers[CORE_LAYERS_MAX];
+  unsigned layer_count;
+  const core_measured_medium *named; /* whose channel the layers are; NULL: none */
+  unsigned channel;                  /* from 1 on */
+  wire_medium reference;
+  double tolerance; /* NaN: off */
+  enum scpi_format { SCPI_ASCII, SCPI_REAL_32, SCPI_REAL_64 } format;
+  bool swapped; /* whether numbers in blocks are little-endian */
+};
+
+struct scpi_session {
+  struct client *client; /* the connection */
+  struct server *server;
+  struct scpi_settings settings;
+  struct scpi_status status;
+  struct http_text lists[SCPI_LISTS]; /* numbers of type double */
+  struct scpi_task tasks[SCPI_TASKS];
+  wire_quantity_error errors;           /* of the last eval */
+  bool completes;                       /* whether *OPC waits */
+  const struct scpi_command *command;   /* the last one, which says at which node the next one is */
+  const struct scpi_command *waits_for; /* whose job gives the answer; NULL: none */
+  bool held;                            /* whether a unit waits for the overlapped jobs */
+  struct http_text answers;             /* to the message so far, without its newline */
+};
+
+void scpi_session_init(struct scpi_session *session, struct client *client, struct server *server);
+void scpi_session_free(struct scpi_session *session);
+
+/* Carries out the unit of a message that begins at *at, and moves *at behind it. Returns false when
+ * the message ends, and leaves *at alone if the unit waits: `waits_for` or `held` is then set. */
+bool scpi_session_step(struct scpi_session *session, const char *message, size_t count, size_t *at);
+
+/* Ends the answers of a message. */
+void scpi_session_end_message(struct scpi_session *session);
+
+/* Whether a fit or Monte Carlo is under way. */
+bool scpi_session_measures(const struct scpi_session *session);
+
+/* Called in the client's turns: lets jobs go on. */
+void scpi_session_run(struct scpi_session *session, uint64_t *budget);
+
+/* Called when the worker has evaluated the batch: takes the results of jobs that have ended. Returns
+ * false if the message ends, because its job was refused. */
+bool scpi_session_finish(struct scpi_session *session);
+
+/* Ends Monte Carlo soon, with its results so far, and fits at once if all is true. */
+void scpi_session_stop(struct scpi_session *session, bool all);
+
+/* ---- jobs: task.c ---------------------------------------------------------------------------- */
+
+void scpi_task_init(struct scpi_task *task, struct scpi_session *session);
+/* Starts a job whose payload is complete. */
+void scpi_task_start(struct scpi_task *task, enum wire_type type);
+void scpi_task_drop(struct scpi_task *task); /* ends it without results */
+
+#endif

@@ -1,0 +1,77 @@
+#include "server/scpi/status.h"
+
+#include <stdio.h>
+#include <string.h>
+
+static const struct {
+  int number;
+  const char *text;
+} texts[] = {{-100, "Command error"},         {-101, "Invalid character"},
+             {-103, "Invalid separator"},     {-104, "Data type error"},
+             {-108, "Parameter not allowed"}, {-109, "Missing parameter"},
+             {-113, "Undefined header"},      {-121, "Invalid character in number"},
+             {-151, "Invalid string data"},   {-161, "Invalid block data"},
+             {-203, "Command protected"},     {-220, "Parameter error"},
+             {-221, "Settings conflict"},     {-222, "Data out of range"},
+             {-223, "Too much data"},         {-224, "Illegal parameter value"},
+             {-226, "Lists not same length"}, {-230, "Data corrupt or stale"},
+             {-300, "Device-specific error"}, {-321, "Out of memory"},
+             {-350, "Queue overflow"},        {-363, "Input buffer overrun"},
+             {-365, "Time out error"}};
+
+static const char *text_of(int number) {
+  size_t i = 0;
+  while (i + 1 < sizeof texts / sizeof texts[0] && texts[i].number != number) {
+    i++;
+  }
+  return texts[i].text;
+}
+
+void scpi_status_set(struct scpi_register *status, uint16_t condition) {
+  status->event |= (uint16_t)(condition & ~status->condition);
+  status->condition = condition;
+}
+
+void scpi_status_fail(struct scpi_status *status, int number, const char *field,
+                      const char *allowed) {
+  static const uint8_t event_of_class[] = {0, 32, 16, 8, 4}; /* -1xx, -2xx, -3xx, -4xx */
+  status->events |= event_of_class[-number / 100];
+  if (status->count == SCPI_ERRORS_MAX) {
+    number = -350;
+    field = NULL;
+  } else {
+    status->count++;
+  }
+  char *to = status->errors[(status->first + status->count - 1) % SCPI_ERRORS_MAX];
+  const int begin = snprintf(to, SCPI_ERROR_BYTES, "%d,\"", number);
+  snprintf(to + begin, SCPI_ERROR_BYTES - 1 - (size_t)begin, "%s%s%s%s%s", text_of(number),
+           field != NULL ? ";" : "", field != NULL ? field : "",
+           field != NULL && allowed != NULL ? ": " : "", allowed != NULL ? allowed : "");
+  for (char *at = to + begin; *at != '\0'; at++) {
+    *at = *at == '"' || *at < ' ' || *at > '~' ? '\'' : *at;
+  }
+  strcat(to, "\"");
+}
+
+void scpi_status_refuse(struct scpi_status *status, const wire_error *error) {
+  scpi_status_fail(status, wire_status_scpi(error->status), error->field, error->allowed);
+}
+
+const char *scpi_status_take(struct scpi_status *status) {
+  if (status->count == 0) {
+    return "0,\"No error\"";
+  }
+  const char *error = status->errors[status->first];
+  status->first = (status->first + 1) % SCPI_ERRORS_MAX;
+  status->count--;
+  return error;
+}
+
+unsigned scpi_status_byte(const struct scpi_status *status, bool answers) {
+  const unsigned byte = (status->count > 0 ? 4U : 0) |
+                        ((status->questionable.event & status->questionable.enable) != 0 ? 8U : 0) |
+                        (answers ? 16U : 0) |
+                        ((status->events & status->events_enable) != 0 ? 32U : 0) |
+                        ((status->operation.event & status->operation.enable) != 0 ? 128U : 0);
+  return byte | ((byte & status->service_enable & ~64U) != 0 ? 64U : 0);
+}

@@ -1,0 +1,47 @@
+/* status: the registers and the error queue of one SCPI client (IEEE 488.2, SCPI-99 volume 2, 20). */
+#ifndef DIPOLED_SCPI_STATUS_H
+#define DIPOLED_SCPI_STATUS_H
+
+#include "proto/wire.h"
+
+enum {
+  SCPI_ERRORS_MAX = 16,
+  SCPI_ERROR_BYTES = 200, /* of number and text, with a zero byte */
+};
+
+/* Bits of `events`, and of the conditions. */
+enum {
+  SCPI_EVENT_COMPLETE = 1,
+  SCPI_EVENT_POWER_ON = 128,
+  SCPI_OPERATION_MEASURING = 16,
+};
+
+struct scpi_register {
+  uint16_t condition, event, enable;
+};
+
+struct scpi_status {
+  uint16_t events, events_enable; /* *ESR? and *ESE */
+  uint16_t service_enable;        /* *SRE */
+  struct scpi_register operation, questionable;
+  unsigned first, count; /* of errors[], a ring */
+  char errors[SCPI_ERRORS_MAX][SCPI_ERROR_BYTES];
+};
+
+/* Sets a condition. Bits that were 0 and become 1 are events. */
+void scpi_status_set(struct scpi_register *status, uint16_t condition);
+
+/* Puts an error into the queue, and sets the bit of its class in `events`. field, allowed: what its
+ * text says besides; or NULL. If the queue is full, its last error becomes -350. */
+void scpi_status_fail(struct scpi_status *status, int number, const char *field,
+                      const char *allowed);
+void scpi_status_refuse(struct scpi_status *status, const wire_error *error);
+
+/* Takes the oldest error out of the queue: its number, and its text in quotes. The text stays valid
+ * until the next error. */
+const char *scpi_status_take(struct scpi_status *status);
+
+/* Returns the status byte. answers: whether an answer waits to be sent. */
+unsigned scpi_status_byte(const struct scpi_status *status, bool answers);
+
+#endif

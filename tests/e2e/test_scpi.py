@@ -1,0 +1,402 @@
+"""SCPI: its documented client, the bits of the binary protocol, real *OPC and *WAI, and streams that
+clients should not send."""
+
+from __future__ import annotations
+
+import re
+import select
+import socket
+import struct
+import threading
+
+import numpy as np
+import pytest
+from daemons import HANG_S, REPOSITORY, Daemon, eventually
+from dipole import Grid, Medium
+
+pyvisa = pytest.importorskip("pyvisa")
+
+SCPI = ("--scpi", "127.0.0.1:0")
+TISSUE = Medium(0.05, 9.5, 0.9, 1.4)
+MED = "MED 0.05,9.5,0.9,1.4"
+# Hours of work, for tests that need a job that runs.
+ENDLESS = "MED 1E-4,10,0.9,1.4;:MC:PHOT 1E10;RINGs 0,5,5;STARt"
+NO_ERROR = '0,"No error"'
+PAGE = (REPOSITORY / "proto/SCPI.md").read_text()
+
+
+class Raw:
+    """A client that says what it sends byte by byte."""
+
+    def __init__(self, daemon: Daemon):
+        port = int(daemon.url("scpi").rsplit(":", 1)[1])
+        self.socket = socket.create_connection(("127.0.0.1", port), HANG_S)
+        self.file = self.socket.makefile("rb")
+
+    def __enter__(self) -> Raw:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.file.close()
+        self.socket.close()
+
+    def send(self, *messages: str) -> None:
+        self.socket.sendall("".join(f"{one}\n" for one in messages).encode())
+
+    def line(self) -> str:
+        return self.file.readline().decode().removesuffix("\n")
+
+    def ask(self, message: str) -> str:
+        self.send(message)
+        return self.line()
+
+    def error(self, message: str) -> str:
+        """Returns the one error of a message."""
+        self.send(message)
+        error, none = self.ask("SYST:ERR?;ERR?").split(";0,")
+        assert none == '"No error"'
+        return error
+
+    def numbers(self, message: str) -> list[float]:
+        return [float(one) for one in self.ask(message).split(",")]
+
+
+@pytest.fixture(scope="module")
+def shared():
+    one = Daemon(*SCPI)
+    yield one
+    one.close()
+
+
+@pytest.fixture
+def raw(shared):
+    with Raw(shared) as one:
+        yield one
+
+
+@pytest.fixture(scope="module")
+def visa(shared):
+    """The session of the page's one-liner."""
+    call = re.search(r"open_resource\(\s*(.*?)\)\n", PAGE, re.S)[1]
+    call = call.replace("127.0.0.1::5025", shared.url("scpi").removeprefix("scpi:").replace(":", "::"))
+    resource, options = call.split(", ", 1)
+    manager = pyvisa.ResourceManager("@py")
+    session = manager.open_resource(eval(resource), **eval(f"dict({options})"))
+    session.timeout = 1000 * HANG_S
+    yield session
+    session.close()
+    manager.close()
+
+
+# ---- the page ------------------------------------------------------------------------------------
+
+GIVEN = {
+    "*ESE": "60", "*SRE": "4", "STATus:OPERation:ENABle": "16", "STATus:QUEStionable:ENABle": "512",
+    "MEDium[:COEFficients]": "0.05,9.5,0.9,1.4", "MEDium:LAYer<n>": "0.1,9,0.9,1.4",
+    "MEDium:NAME": "skin1", "MEDium:CHANnel": "3", "MODel": "transport", "TOLerance": "0.01",
+    "EVALuator": "f64", "FIT:PLACes": "1,2,4", "FIT:READings": "0.013,0.0045,0.0008",
+    "FIT:ERRors": "1e-4,1e-5,1e-5", "FIT:AXIS": "r", "FIT:SCALe": "free", "FIT:MODel": "better",
+    "FIT:REFerence": "0.1,9,0.9,1.4", "MC:PHOTons": "8192", "MC:RINGs": "0,5,2",
+    "MC:SPACing": "linear", "MC:SEED": "7", "MC:TARGet": "0.5", "R:DATA": "0.5,1", "R": "0.5,1",
+    "R:FREQuency": "0,0.1", "T": "0.5,1", "FORMat[:DATA]": "ASC", "FORMat:BORDer": "SWAP",
+}  # fmt: skip
+
+
+def alike(told: str, given: str) -> bool:
+    """Returns whether an answer has the words and numbers that were set."""
+    values = lambda text: [float(one) if one[0].isdigit() else one.lower() for one in text.strip('"').split(",")]
+    return values(told) == values(given)
+
+
+def test_every_command_of_the_page(visa):
+    """In its short form, with what it takes. What is set is told. No command has an error."""
+    rows = re.findall(r"^\| `([^`]*?)( \(\?\)|\?|)` \|", PAGE.split("tables: begin")[1], re.M)
+    headers = visa.query_binary_values("SYST:HELP:HEAD?", "B", container=bytes).decode().split()
+    marks = {"": "/nquery/", "?": "/qonly/", " (?)": ""}
+    assert {f"{':' * (name[0] != '*')}{name}{marks[mark]}" for name, mark in rows} == set(headers)
+    visa.write("*RST;*CLS")
+    for name, mark in rows:
+        short = re.sub(r"\[.*?\]|[a-z]|<n>", "", name)
+        given = GIVEN.get(name, "") if (name, mark) != ("R:DATA", "?") else ""
+        if mark != "?":
+            visa.write(f"{short} {given}")
+        if short in ("FIT", "MC:STAR"):
+            assert visa.query("*OPC?") == "1"
+        if mark == " (?)":
+            assert alike(visa.query(f"{short}?"), given), name
+        elif mark == "?" and short != "SYST:HELP:HEAD":
+            assert visa.query(f"{short}? {given}") not in ("", '""')
+        assert visa.query("SYST:ERR?") == NO_ERROR, name
+
+
+def test_mandatory_answers(visa):
+    assert re.fullmatch(r"dipoled,dipoled,0,[\d.]+", visa.query("*IDN?"))
+    assert visa.query("*TST?;:SYST:VERS?") == "0;1999.0"
+
+
+def test_long_and_short_forms(raw):
+    """Case, colons, blanks, nodes, ends of lines."""
+    for message in ("FORMat:DATA REAL,32", ":form:data real,32", "FORM REAL , 32", "form\treal,32\r"):
+        raw.send("*RST", message)
+        assert raw.ask("FORM?") == "REAL,32"
+    assert raw.ask(f"{MED}; LAYer?;NAME?;*STB?;LAY1?;:FORM REAL,64;BORD SWAP;BORD?;;:TOL 1E-3;TOL?") == (
+        '0.05,9.5,0.9,1.4;"";16;0.05,9.5,0.9,1.4;SWAP;1e-3'
+    )
+    assert raw.ask("med:name 'SKIN1';chan 2;chan?;:STAT:OPER?;ENAB 1;ENAB?") == "2;0;1"
+    assert raw.ask("MC:PHOT DEF;PHOT?;:MED 0,MAX,0,1;:MED?") == "1000000;0,1e15,0,1"
+    for message, error in [
+        ("FORMA REAL,64", '-113,"Undefined header;FORMA"'),
+        ("MED:NAME SKIN1;TOL 1", '-113,"Undefined header;TOL"'),
+        ("MED 1,2,3", '-109,"Missing parameter"'),
+        ("MED 1,2,0.5,1.4,0,1", '-108,"Parameter not allowed"'),
+        ("*CLS 1", '-108,"Parameter not allowed"'),
+        ("R? 1 2", '-103,"Invalid separator"'),
+        ("R? 1,,2", '-109,"Missing parameter"'),
+        ("R? 1.2.3", '-121,"Invalid character in number"'),
+        ("R? one", '-104,"Data type error"'),
+        ('MED:NAME "skin1', '-151,"Invalid string data"'),
+        ("R:DATA #2x", '-161,"Invalid block data"'),
+    ]:
+        assert raw.error(message) == error, message
+
+
+# ---- values --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("evaluator", ["f64", "f32", "lut"])
+def test_the_bits_are_those_of_the_binary_protocol(shared, visa, evaluator):
+    radii = np.geomspace(1e-3, 300, 301)
+    with shared.client() as client:
+        known = client.eval("transport", TISSUE, radii, evaluator=evaluator, wanted=["R", "albedo"])
+    visa.write(f"*RST;:{MED};:EVAL {evaluator}")
+    listed = ",".join(map(repr, radii.tolist()))
+    told = np.array(visa.query_ascii_values(f"R? {listed}"), known.R.dtype)
+    assert known.R[0].tolist() == told.tolist()
+    assert known.albedo[0] == float(visa.query("ALB?"))
+    for big in (True, False):
+        visa.write(f"FORM REAL,64;BORD {'NORM' if big else 'SWAP'}")
+        visa.write_binary_values("R:DATA ", radii, datatype="d", is_big_endian=big)
+        told = visa.query_binary_values("R:DATA?", datatype="d", is_big_endian=big)
+        assert known.R[0].astype(float).tolist() == told
+        visa.write("FORM REAL,32")
+        told = visa.query_binary_values("R:DATA?", datatype="f", is_big_endian=big)
+        assert known.R[0].astype("f4").tolist() == told
+    assert visa.query("SYST:ERR?") == NO_ERROR
+
+
+def test_errors_of_values_are_known(shared, raw):
+    with shared.client() as client:
+        known = client.eval("better", TISSUE, [1.0], wanted="R", model_error=True)
+    raw.send(f"{MED};:MOD better;:EVAL F64")
+    assert raw.ask("R? 1") == repr(float(known.R[0, 0]))
+    assert raw.numbers("R:ERR?")[2] == known.model_error[0]
+
+
+def test_layers_slabs_and_frequencies(shared, raw):
+    """And an empty list, which is no empty line; and infinity."""
+    with shared.client() as client:
+        slab = client.eval("transport", Medium(0.1, 2, 0, 1.4, 3), [1.0], evaluator="lut", wanted=["T"])
+        skin = client.eval("transport", "skin1", [1.0], evaluator="lut")
+    assert np.float32(raw.ask("MED 0.1,2,0,1.4,3;:T? 1")) == slab.T[0, 0]
+    assert np.float32(raw.ask("MED:NAME SKIN1;CHAN 3;:R? 1")) == skin.R[2, 0]
+    layered = raw.ask("MED 0.1,2,0,1.4,1;LAY2 0.05,1,0,1.4;LAY2?;:R? 1").split(";")
+    assert layered[0] == "0.05,1,0,1.4" and 0 < float(layered[1]) < 1
+    albedo, at_0 = raw.ask("MED 0.1,2,0,1.4;:EVAL F64;:ALB?;:R:FREQ? 0").split(";")
+    assert float(at_0) == pytest.approx(float(albedo), rel=1e-6)
+    assert raw.ask("R:DATA?") == '""' and raw.ask("FORM REAL,64;:R:DATA?") == "#10"
+    assert raw.numbers("FORM ASC;:R? 0")[0] == 9.9e37
+
+
+@pytest.mark.parametrize(
+    "message, error",
+    [
+        ("MED 0.05,9.5,2,1.4;:R? 1", '-222,"Data out of range;g: between -1 and 1, exclusive"'),
+        ("MED -1,9.5,0,1.4;:R? 1", '-222,"Data out of range;sigma_a: '),
+        (f"{MED};:R? 1,-1", '-222,"Data out of range;r: '),
+        (f"{MED};:TOL 0;:R? 1", '-222,"Data out of range;tolerance: '),
+        (f"{MED};:MOD NONE;:R? 1", '-224,"Illegal parameter value;model: '),
+        (f"{MED};:EVAL 4;:R? 1", '-222,"Data out of range;evaluator: one of 1 (f64), 2 (f32), 3 (lut)"'),
+        ("*RST;:R? 1", '-221,"Settings conflict;MEDium: '),
+        ("FIT:RES?", '-230,"Data corrupt or stale;'),
+        ("MC:RING 0,5,0", '-222,"Data out of range;ring_count: '),
+        (f"{MED};:FIT:PLAC 1,2;READ 1;ERR 1,1;:FIT", '-226,"Lists not same length;'),
+    ],
+)
+def test_what_is_wrong_is_said(raw, message, error):
+    """And nothing is sent: an error ends its message."""
+    assert raw.error(message).startswith(error)
+
+
+# ---- jobs ----------------------------------------------------------------------------------------
+
+
+def test_a_fit(shared, raw):
+    at, sigma_a = [0.5, 1.0, 2.0, 4.0, 8.0], 0.05
+    with shared.client() as client:
+        readings = client.eval("transport", TISSUE, at).R[0]
+        known = client.fit("transport", at, readings, 0.01 * readings, eta=1.4, g=0.9)
+    given = [",".join(map(repr, list(map(float, one)))) for one in (at, readings, 0.01 * readings)]
+    raw.send("MED 0,1,0.9,1.4;:FIT:PLAC {};READ {};ERR {}".format(*given))
+    told = raw.numbers("FIT;*WAI;RES?")
+    assert told[0] == known.sigma_a == pytest.approx(sigma_a, rel=1e-4)
+    assert told[1:4] == [known.sigma_s_prime, known.sigma_a_error, known.sigma_s_prime_error]
+    assert told[5] == 1 and raw.ask("STAT:QUES:COND?") == "0"
+    assert raw.numbers("FIT:COV?")[0] == pytest.approx(known.sigma_a_error**2)
+    raw.send("FIT:ERR 1E-9,1E-9,1E-9,1E-9,1E-9;READ 0.04,0.02,0.006,0.001,0.00004;:FIT")
+    assert raw.ask("*OPC?;:STAT:QUES:COND?") == "1;2048"  # implausible
+
+
+def test_waiting_for_monte_carlo(shared, raw):
+    """*WAI, *OPC and *OPC? hold for all photons, and the rings are those of the binary protocol."""
+    with shared.client() as client:
+        known = client.mc(TISSUE, Grid(0.0, 5.0, 6), photons=200_000, seed=3)
+    raw.send(f"{MED};:MC:PHOT 2E5;SEED 3;RINGs 0,5,5;STARt;*OPC")
+    told = [[*map(float, one.split(","))] for one in raw.ask("*WAI;:MC:DATA?;ERR?;EDG?").split(";")]
+    assert told == [known.R.ravel().tolist(), known.R_error.ravel().tolist(), known.edges.tolist()]
+    assert int(raw.ask("*ESR?")) & 1 and raw.ask("STAT:OPER:COND?;EVEN?;EVEN?") == "0;16;0"
+    assert raw.ask("*OPC?") == "1"
+
+
+def test_a_job_runs_beside_queries_and_is_aborted(raw):
+    raw.send(ENDLESS, "*OPC")
+    assert raw.ask(f"*ESR?;:STAT:OPER:COND?;:{MED};:R? 1;:MC:PROG?").startswith("128;16;0.0161")
+    assert raw.error("MC:STAR").startswith('-221,"Settings conflict;MC:STARt')
+    assert raw.ask("MC:ABOR;*OPC?;PROG?").endswith(",3")
+    assert int(raw.ask("*ESR?")) & 1
+    assert len(raw.numbers("MC:DATA?")) == 5
+    raw.send(ENDLESS)
+    assert raw.ask("*RST;*OPC?;:STAT:OPER:COND?") == "1;0"
+
+
+def test_jobs_end_with_their_client(shared):
+    with shared.client() as client:
+        open_jobs = lambda: client.statistics()["mc_jobs_open"]
+        for hold in ("*IDN?", "*OPC?"):
+            with Raw(shared) as raw:
+                raw.send(ENDLESS, hold)
+                assert eventually(lambda: open_jobs() == 1)
+            assert eventually(lambda: open_jobs() == 0)
+
+
+def test_a_client_that_closes_its_side_gets_its_answers(shared):
+    with Raw(shared) as raw:
+        raw.send(f"{MED};:R? 1", "*IDN?", "*OPC?")
+        raw.socket.shutdown(socket.SHUT_WR)
+        assert len(raw.file.read().splitlines()) == 3
+
+
+def test_a_drain_answers_what_was_read(shared):
+    one = Daemon(*SCPI)
+    with Raw(one) as waits, Raw(one) as rests:
+        waits.send(ENDLESS)
+        assert waits.ask("*IDN?") and rests.ask("*IDN?")
+        waits.send("*OPC?;:MC:PROG?")
+        one.terminate()
+        assert waits.line().endswith(",4") and waits.line() == ""
+        assert rests.line() == ""
+    one.close()
+
+
+# ---- streams -------------------------------------------------------------------------------------
+
+
+def test_messages_in_one_segment_and_in_pieces(raw):
+    raw.send("*IDN?", MED, "R? 1", "MED?")
+    assert [raw.line()[:7] for _ in range(3)] == ["dipoled", "0.01616", "0.05,9."]
+    block = struct.pack(">2d", *np.frombuffer(b"\n;\n;\n;\n?" b"@\n\n\n\n\n\n\n", ">f8"))
+    for byte in b"FORM REAL,64;:R:DATA #216" + block + b";:FORM ASC;*IDN?\n":
+        raw.socket.sendall(bytes([byte]))
+    assert raw.line().startswith("dipoled") and raw.ask("SYST:ERR?") == NO_ERROR
+    assert len(raw.numbers("R:DATA?")) == 2
+
+
+def test_a_flood_and_its_answers_in_order(raw):
+    count = 20_000
+    sender = threading.Thread(target=lambda: raw.send(*(f"*ESE {i % 256};*ESE?" for i in range(count))))
+    sender.start()
+    assert [int(raw.line()) for _ in range(count)] == [i % 256 for i in range(count)]
+    sender.join()
+
+
+def test_garbage_has_one_error_a_line(raw):
+    raw.socket.sendall(b"\x16\x03\x01\0\xff\n\n\n;;;\n GET / HTTP/1.1\r\n#9999999999x\n* \n")
+    assert raw.ask("*CLS;*IDN?;:SYST:ERR:COUN?").endswith(";0")
+    errors = [raw.error("".join(map(chr, range(33, 127)))), raw.error("R? #H1F"), raw.error(":")]
+    assert [one.partition(",")[0] for one in errors] == ["-101", "-104", "-101"]
+
+
+def test_a_full_queue_of_errors(raw):
+    raw.send("*RST;*CLS", *(f"BAD{i}" for i in range(20)))
+    assert raw.ask("SYST:ERR:COUN?") == "16"
+    errors = [raw.ask("SYST:ERR?") for _ in range(17)]
+    assert errors[0] == '-113,"Undefined header;BAD0"' and errors[14].endswith('BAD14"')
+    assert errors[15:] == ['-350,"Queue overflow"', NO_ERROR]
+    raw.send("*SRE 36;*ESE 32;:BAD")
+    assert raw.ask("*STB?;*ESR?;*STB?;*CLS;*STB?") == "100;32;84;16"
+
+
+def drops_an_incomplete_message(raw: Raw) -> bool:
+    """Returns False if its newline came too early."""
+    raw.socket.sendall(b"*CLS;*IDN?;BAD")
+    select.select([raw.socket], [], [], 0.5)
+    answer = raw.ask("\nSYST:ERR?")
+    return answer.startswith("-365") or not raw.line()
+
+
+def test_limits():
+    """A message that is too long is dropped up to its newline, one that stays incomplete is dropped,
+    and a silent client is closed; one connection more is closed at once."""
+    one = Daemon(*SCPI, "--max-part-bytes", "4096", "--frame-timeout-ms", "100", "--max-scpi-connections", "3")
+    with Raw(one) as raw:
+        assert raw.error("R? " + "1," * 100_000 + "1").startswith('-363,"Input buffer overrun')
+        assert raw.error("R:DATA #510000" + 2 * "\n" + 9998 * "x").startswith("-363")
+        assert raw.error(f"{MED};:R:DATA {','.join(['1'] * 2000)};DATA?").startswith('-223,"Too much data')
+        assert eventually(lambda: drops_an_incomplete_message(raw))
+        with Raw(one) as second, Raw(one) as third, Raw(one) as fourth:
+            assert second.ask("*TST?") == third.ask("*TST?") == "0"
+            assert fourth.line() == ""
+    assert one.has_line("event=scpi-refused reason=max-scpi-connections")
+    one.close()
+    one = Daemon(*SCPI, "--idle-timeout-ms", "200", "--scpi-allow", "127.0.0.0/8")
+    with Raw(one) as raw:
+        assert raw.ask("*IDN?") and raw.line() == ""
+    one.close()
+
+
+def test_who_is_not_allowed():
+    one = Daemon(*SCPI, "--scpi-allow", "10.0.0.0/8")
+    with Raw(one) as raw:
+        assert raw.line() == ""
+    assert one.has_line("event=scpi-refused reason=not-allowed")
+    one.close()
+
+
+def test_a_client_that_does_not_read(shared):
+    """It costs bounded memory, others go on, and its answers come when it reads."""
+    with Raw(shared) as slow, Raw(shared) as other:
+        before = shared.resident_bytes()
+        count = 3000
+        sent = threading.Thread(target=lambda: slow.send(*["SYST:HELP:HEAD?"] * count))
+        sent.start()
+        for _ in range(20):
+            assert other.ask(f"{MED};:R? 1").startswith("0.0161")
+        assert shared.resident_bytes() - before < 8e6
+        size = int(slow.file.read(6)[2:])
+        assert len(slow.file.read((6 + size + 1) * count - 6)) == (6 + size + 1) * count - 6
+        sent.join()
+
+
+def test_a_thousand_clients(shared):
+    """Each has its own medium, and the right answer."""
+    clients = [Raw(shared) for _ in range(1000)]
+    try:
+        for i, one in enumerate(clients):
+            one.send(f"*IDN?;:MED {0.01 + i * 1e-4!r},9.5,0.9,1.4;:MOD better;:EVAL F64;*OPC?")
+        for i, one in enumerate(clients):
+            assert one.line().endswith(";1")
+            one.send("R? 1")
+        radii = [float(one.line()) for one in clients]
+        assert radii == sorted(radii, reverse=True) and len(set(radii)) == 1000
+    finally:
+        for one in clients:
+            one.__exit__()
