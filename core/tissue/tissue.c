@@ -30,25 +30,24 @@ const core_choice core_tissues[] = {
 /* ---- spectra --------------------------------------------------------------------------------- */
 
 #define LN_10 2.302585092994045684
-#define STEP_NM 2
 
-/* A spectrum: numbers at steps of STEP_NM, or a formula. */
+/* A spectrum: numbers at equal steps, or a formula. */
 typedef struct spectrum {
   enum core_property chromophore;
   unsigned haemoglobin; /* the table that it belongs to; 0: all */
   double from_nm, to_nm, factor;
-  const double *numbers;
+  const double *numbers; /* [count] */
+  size_t count;
   double (*formula)(double nm);
   const char *range;
 } spectrum;
 
 enum { ANY = 0, PRAHL = CORE_HAEMOGLOBIN_PRAHL, UCL = CORE_HAEMOGLOBIN_UCL };
 
+#define COUNT_OF(PROPERTY, HAEMOGLOBIN) (sizeof numbers_##PROPERTY##_##HAEMOGLOBIN / sizeof(double))
 #define CORE_SPECTRUM(PROPERTY, HAEMOGLOBIN, from_nm, to_nm, factor, source, ...)                  \
   static const double numbers_##PROPERTY##_##HAEMOGLOBIN[] = {__VA_ARGS__};                        \
-  _Static_assert(sizeof numbers_##PROPERTY##_##HAEMOGLOBIN ==                                      \
-                     ((to_nm - from_nm) / STEP_NM + 1) * sizeof(double),                           \
-                 "a number for each step");
+  _Static_assert((to_nm - from_nm) % (COUNT_OF(PROPERTY, HAEMOGLOBIN) - 1) == 0, "whole steps");
 #define CORE_FORMULA(PROPERTY, from_nm, to_nm, per_mm, source)                                     \
   static double formula_##PROPERTY(double nm) {                                                    \
     return per_mm;                                                                                 \
@@ -66,6 +65,7 @@ static const spectrum spectra[] = {
    to_nm,                                                                                          \
    factor,                                                                                         \
    numbers_##PROPERTY##_##HAEMOGLOBIN,                                                             \
+   COUNT_OF(PROPERTY, HAEMOGLOBIN),                                                                \
    NULL,                                                                                           \
    RANGE(#PROPERTY, #from_nm, #to_nm, source)},
 #define CORE_FORMULA(PROPERTY, from_nm, to_nm, per_mm, source)                                     \
@@ -75,6 +75,7 @@ static const spectrum spectra[] = {
    to_nm,                                                                                          \
    1,                                                                                              \
    NULL,                                                                                           \
+   0,                                                                                              \
    formula_##PROPERTY,                                                                             \
    RANGE(#PROPERTY, #from_nm, #to_nm, source)},
 #include "core/tissue/spectra.def"
@@ -95,8 +96,9 @@ core_fault core_chromophore_at(enum core_property chromophore, enum core_haemogl
     *per_mm = one->formula(wavelength_nm);
     return (core_fault){0};
   }
-  const double place = (wavelength_nm - one->from_nm) / STEP_NM;
-  const size_t last = (size_t)((one->to_nm - one->from_nm) / STEP_NM);
+  const size_t last = one->count - 1;
+  const double step_nm = (one->to_nm - one->from_nm) / (double)last; /* exact */
+  const double place = (wavelength_nm - one->from_nm) / step_nm;
   const size_t k = (size_t)place < last ? (size_t)place : last - 1;
   const double share = place - (double)k;
   *per_mm = one->factor * ((1 - share) * one->numbers[k] + share * one->numbers[k + 1]);
