@@ -31,9 +31,9 @@ enum core_dipole_switch {
 /* The fit that gives the width of Burley's profile. */
 enum core_burley_fit { CORE_BURLEY_SEARCHLIGHT, CORE_BURLEY_DIFFUSE, CORE_BURLEY_DMFP };
 
-/* Switches of core/models/cloud.c besides those of the dipole. SLAB_TRANSMITTED requests the profile
- * that a slab transmits in place of the reflected one, of core/models/transport.c, too; CLOUD_BEAM
- * requests a half space with the beam's source in place of a slab. */
+/* Switches of core/models/cloud.c besides those of the dipole. With CORE_SLAB_TRANSMITTED the
+ * profile is what a slab transmits, also in core/models/transport.c. CORE_CLOUD_BEAM requests a
+ * half space with the beam's source in place of a slab. */
 enum { CORE_SLAB_TRANSMITTED = 8, CORE_CLOUD_BEAM = 16 };
 
 enum core_model {

@@ -1,5 +1,5 @@
 /* gather: encodes and decodes the payloads of the messages points, which sends a set of points in
- * parts, and gather, which sums the light that they leave at other positions (core/gather.h).
+ * parts, and gather, which sums the light that they leave at other positions (core/gather/gather.h).
  *
  * A set of points is two arrays: double[point_count][3], x, y and z in mm; and
  * float[point_count][channel_count], a power in W for each channel. Its name is the hash of its

@@ -95,7 +95,7 @@ bool libdipole_address_parse(const char *text, libdipole_address *address, dipol
   return true;
 }
 
-/* ---- several ------------------------------------------------------------------------------- */
+/* ---- lists of addresses -------------------------------------------------------------------- */
 
 /* Returns the comma before the next address of the list, or NULL after the last address. A comma
  * that no scheme follows is part of a path. */

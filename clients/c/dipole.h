@@ -422,7 +422,7 @@ const float *dipole_values_f32(const dipole_result *result, uint32_t channel, un
  * quantity was not wanted or if there is no such channel. */
 dipole_errors dipole_errors_of(const dipole_result *result, uint32_t channel, unsigned quantity);
 
-/* ---- many at once -------------------------------------------------------------------------- */
+/* ---- many queries at once ------------------------------------------------------------------ */
 
 /* A program can submit queries without waiting for the replies to earlier ones, and collect the
  * replies in any order:
@@ -1120,7 +1120,7 @@ const double *dipole_mc_errors(const dipole_mc_result *result, uint32_t albedo,
                                enum dipole_mc_side side);
 const uint64_t *dipole_mc_photons(const dipole_mc_result *result, enum dipole_mc_side side);
 
-/* ---- the rest ------------------------------------------------------------------------------ */
+/* ---- media, statistics, ping --------------------------------------------------------------- */
 
 /* A medium with a name. Its three channels are red, green and blue: `channel` and layer_count are
  * the media and layer_count of a query with three media. */

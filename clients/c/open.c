@@ -9,7 +9,7 @@
 #include "clients/c/error.h"
 #include "clients/c/request.h"
 
-/* ---- one ----------------------------------------------------------------------------------- */
+/* ---- one daemon ---------------------------------------------------------------------------- */
 
 /* Connects and sends hello. Each of the two steps may take limit_ms. */
 static bool greet(dipole_client *client, const char *text, const libdipole_tls_files *files,
@@ -55,7 +55,7 @@ static dipole_client *open_one(const char *text, const libdipole_tls_files *file
   return client;
 }
 
-/* ---- of several ---------------------------------------------------------------------------- */
+/* ---- one of several daemons ---------------------------------------------------------------- */
 
 /* Returns whether the daemon of `fresh` has all names in the lists of `like`, with the same ids. If
  * so, the ids in requests mean the same to both daemons. */

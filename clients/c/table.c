@@ -278,7 +278,7 @@ bool dipole_table_fetch(dipole_client *client, const dipole_table_query *query,
   return libdipole_table_refuse(client, intact, error);
 }
 
-/* ---- using it ------------------------------------------------------------------------------ */
+/* ---- evaluating a table -------------------------------------------------------------------- */
 
 const void *dipole_table_bytes(const dipole_table *table, size_t *count) {
   *count = table->frame_bytes;

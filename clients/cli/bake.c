@@ -52,8 +52,8 @@ typedef struct sheet {
   size_t rows, columns, channels;
   const char *names[COLUMNS_MAX];
   double *values; /* [rows][columns] */
-  /* of a picture: pixels beside each other, and the first column of red, green, blue; for each three
-   * columns from there on all rows */
+  /* of a picture: pixels in a line, and the first column with colours. Three columns are red, green
+   * and blue of all pixels; the next three are another picture below */
   size_t width, pixels_from;
   size_t fact_count;
   fact facts[FACTS_MAX];
@@ -87,9 +87,9 @@ static const double *radii_of(const bake *of, size_t channel) {
 
 /* ---- kernel ---------------------------------------------------------------------------------- */
 
-/* Taps of a separable blur at offsets R o |o|, o from -1 to 1 in equal steps (Jimenez et al. 2015).
- * A tap stands for the light up to half the way to its neighbours, the last one for all beyond: its
- * weight is the difference of E between these places. */
+/* Taps of a separable blur at offsets range o |o|, o from -1 to 1 in equal steps (Jimenez et al.
+ * 2015). A tap stands for the light up to half the way to its neighbours, the last one for all
+ * beyond: its weight is the difference of E between these places. */
 typedef struct taps {
   size_t count;
   double range_mm;
@@ -132,7 +132,7 @@ static double edge_error(const double *r_mm, const taps *of) {
   return worst;
 }
 
-/* Returns the range R with the smallest error among RANGES values in equal ratios. */
+/* Returns the range with the smallest error among RANGES values in equal ratios. */
 static double best_range(const double *r_mm, size_t count) {
   enum { RANGES = 80 };
   const double least = r_mm[CLI_EDGE_RADII / 2];
@@ -269,10 +269,10 @@ static int make_gaussians(bake *of) {
 
 /* ---- the sphere ------------------------------------------------------------------------------ */
 
-/* Returns what a sphere of radius `radius_mm` returns where the cosine of the light's angle is `mu`,
- * over what it returns of the same light from everywhere. On a sphere the area within a chord is that
- * within the same radius of a plane, so that each chord has its share. The mean of the light over a
- * ring, A + B cos phi where that is positive, is known. */
+/* Returns the light that leaves a sphere where the cosine of the incident light's angle is `mu`,
+ * over what leaves in the same light from all directions. On a sphere the area within a chord is
+ * that within the same radius of a plane, so that each chord has its share. The mean of the light
+ * over a ring, A + B cos phi where that is positive, is known. */
 static double sphere_at(const double *r_mm, double radius_mm, double mu) {
   const double pi = acos(-1), sine = sqrt(fmax(0, 1 - mu * mu));
   double sum = 0;

@@ -206,7 +206,7 @@ static double absorbed_of(const dipole_medium *medium) {
   return medium->sigma_a_per_mm / (medium->sigma_a_per_mm + medium->sigma_s_per_mm);
 }
 
-/* ---- asking ---------------------------------------------------------------------------------- */
+/* ---- requests -------------------------------------------------------------------------------- */
 
 /* Sets colours[count] to the albedos of these media for a beam under a model. */
 static bool find_colours(const material *of, unsigned model, const dipole_medium *media,
@@ -278,9 +278,10 @@ static dipole_medium *media_by(const material *of, enum colour_kind kind, const 
   return media;
 }
 
-/* Sets shown[count] to what renderers with the formula of a kind show of colours that are typed:
- * Blender's walk of van de Hulst's formula in a beam, which it refracts, but not on the way out; the
- * walks of Wrenninge's in diffuse light, of which van de Hulst's formula is right within .002. */
+/* Sets shown[count] to what renderers with the formula of a kind show of colours that are typed.
+ * Blender's walk, with van de Hulst's formula, is shown in a beam that is refracted on the way in
+ * alone. Walks with Wrenninge's formula are shown in diffuse light, where van de Hulst's formula is
+ * right within .002. */
 static bool find_shown(const material *of, enum colour_kind kind, const double *colours,
                        double *shown) {
   const dipole_medium *media = media_by(of, kind, colours);
@@ -489,8 +490,8 @@ static void write_gltf(const material *of, const char *colour, double factor,
          of->media[0].eta);
 }
 
-/* Sets the names of a convention's parameters, "" where it has none, and, unless `usual` is NULL, what
- * they are in files that do not say it, NULL where files have to. */
+/* Sets the names of a convention's parameters; "" where it has none. Unless `usual` is NULL, sets
+ * their defaults in files; NULL where a file has to give the value. */
 static void take_names(const convention *of, const char *names[NAMES], const char *usual[NAMES]) {
   char *list = cli_copy(of->names, strlen(of->names));
   for (size_t i = 0; i < NAMES; i++) {

@@ -61,7 +61,7 @@ static const cli_option output_options[] = {
     {0},
 };
 
-/* ---- holding --------------------------------------------------------------------------------- */
+/* ---- what replies hold ----------------------------------------------------------------------- */
 
 cli_eval_model *cli_eval_add_model(cli_eval_report *report, const dipole_choice *model,
                                    bool named) {
@@ -535,7 +535,7 @@ static void put_value(cli_rows *rows, const void *context, size_t index) {
   cli_put_notes(rows, report->profile.info, model->notes);
 }
 
-/* ---- for people ------------------------------------------------------------------------------ */
+/* ---- tables for people ----------------------------------------------------------------------- */
 
 /* Models that are in adjacent columns of one table. */
 typedef struct block {

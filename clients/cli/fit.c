@@ -186,8 +186,8 @@ static bool check_header(const cli_sheet *sheet, const cli_csv_record *header) {
              "sample, g, eta, detector_na, source_mm and detector_mm");
 }
 
-/* Returns the number of the sample of this name, which is the next one if it is new. table: of
- * names that have come */
+/* Returns the number of the sample of this name, which is `next` if it is new. table: the
+ * names so far */
 static size_t number_of(struct hsearch_data *table, char *name, size_t next) {
   ENTRY *found;
   if (hsearch_r((ENTRY){name, (void *)(uintptr_t)next}, ENTER, &found, table) == 0) {

@@ -812,7 +812,7 @@ static bool request_groups(points_run *points) {
   return true;
 }
 
-/* ---- the work -------------------------------------------------------------------------------- */
+/* ---- the whole file -------------------------------------------------------------------------- */
 
 /* Requests the rows that have been read, and writes them up to the first that has no reply. */
 static bool write_all(points_run *points) {
@@ -1013,7 +1013,8 @@ const cli_command cli_command_points = {
     .options = {options},
     .parameters = CLI_OF_MODELS,
     .examples = "  dipole points media.csv > profiles.csv\n"
-                "  dipole media --format csv | dipole points --r 0.5,1,2 --model transport --tolerance 0.01\n"
+                "  dipole media --format csv | dipole points --r 0.5,1,2 --model transport "
+                "--tolerance 0.01\n"
                 "  dipole points media.csv --wanted R --errors\n"
                 "  dipole invert --albedo 0.4,0.2 --mean-free-path 1 --format csv |\n"
                 "    dipole points --r 1 --model better\n"

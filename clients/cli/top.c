@@ -204,7 +204,7 @@ static void show_look(top_run *of, bool first) {
   }
 }
 
-/* ---- looking --------------------------------------------------------------------------------- */
+/* ---- requests -------------------------------------------------------------------------------- */
 
 enum { REPLY_MS = 2000 }; /* how long the daemon may take before the screen says that it is gone */
 

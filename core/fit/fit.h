@@ -188,7 +188,7 @@ bool core_fit_begin(core_fit_search *search, const core_fit *fit, const double *
 bool core_fit_step(core_fit_search *search, core_fit_result *result, double *residuals);
 
 /* Refining is for readings whose errors are so small that the table's count. The caller prepares
- * the profile of a medium by the design's model, moments and parameters and EVALUATOR_F64, and passes
+ * the profile of a medium by the design's model, moments and parameters and the evaluator f64, and passes
  * it on, step by step. That is left to the caller because a profile may take long.
  *
  * core_fit_wants_exact() returns whether a set that was fitted should be refined, and sets the first

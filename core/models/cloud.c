@@ -288,7 +288,7 @@ static double grown(const struct cloud *cloud, double time) {
   return 2 / period_of(cloud) * sum / risen;
 }
 
-/* ---- both ------------------------------------------------------------------------------------ */
+/* ---- slabs and beams ------------------------------------------------------------------------- */
 
 /* Returns the share of the light that leaves per unit of time, at t = time. The share is multiplied
  * by e^(y^2 / (4 D t) + (rate - sigma_a) t), so that it varies slowly. y, D and rate are y,

@@ -14,8 +14,8 @@
  *   BOUNDARY  A = (1 + 2C1) / (1 - 2C1)  A = (1 + 3C2) / (1 - 2C1)
  *   EXITANCE  C_phi = 0, C_E = 1         C_phi = (1 - 2C1) / 4, C_E = (1 - 3C2) / 2
  *
- * lanes_share_dipole() in lanes.h computes A, C_phi and C_E, and lane_dipole_of() D, mu and p. C1 and
- * C2 are Fresnel moments for eta.
+ * with mu = mu_tr = sqrt(sigma_a / D), alpha' = sigma_s' / sigma_t', and C1 and C2 the Fresnel moments
+ * of eta. lanes_share_dipole() in lanes.h computes A, C_phi and C_E, lane_dipole_of() D, mu and p.
  *
  * Domain: every medium that core_medium_check() accepts; radii from 0 to infinity.
  *
@@ -111,8 +111,8 @@ _Static_assert((int)COEFFICIENTS <= CORE_COEFFICIENTS_MAX, "the profile has room
  * no sum overflows near the source, and none underflows before the result does. */
 #define LANE_R_UP 80
 
-/* Returns the least of the numbers of kernel units where the cdf has rounded to its limit, from the
- * bounds of the comment at lane_fill(). */
+/* Returns a radius in kernel units from which on the cdf has rounded to its limit, by the bound
+ * TAIL. tail, mu: TAIL and MU. */
 static inline real lane_whole(real tail, real mu) {
   const real far = REAL(0x1p56) * tail;
   const real decayed = real_log(real_max(far / REAL_Z1, 1), 0) / real_max(mu, REAL(1e-30));
@@ -180,7 +180,7 @@ static inline void lane_fill(const real *shared, struct lane lane, real *c) {
  * bracket. DENSE: up to this many kernel units in a mm, that is up to a sigma_t' of 2^16 per mm, R
  * in single precision has underflowed before 1 - e^(-mu (d2 - d1)) loses digits that matter.
  * DENSE_SMALL: for a smaller mu (d2 - d1), 1 - e^(-mu (d2 - d1)) equals it to the last digit; both
- * are multiplied by DENSE_SCALE, as in dipole_R_dense(). */
+ * are multiplied by DENSE_SCALE, as in R_dense_of(). */
 #define WIDE_Z2 (256 * REAL_Z1)
 #define DENSE (REAL_Z1 * 0x1p16f)
 #define DENSE_SCALE 0x1p64f
@@ -283,8 +283,8 @@ static inline real R_usual_of(const real *c, struct view v) {
 }
 
 /* R_usual_of() in single precision for a medium that is denser than DENSE. There R is a normal
- * number at radii where 1 - e^(-mu (d2 - d1)) has underflowed. This function therefore takes that
- * number times DENSE_SCALE. */
+ * number at radii where 1 - e^(-mu (d2 - d1)) has underflowed. This function therefore multiplies
+ * the latter by DENSE_SCALE, and its weight by 1 / DENSE_SCALE. */
 static inline real R_dense_of(const real *c, struct view v) {
   v.apart *= DENSE_SCALE;
   v.mirror.one_minus_exp *= DENSE_SCALE;
@@ -470,7 +470,7 @@ static inline real dipole_transfer(const real *c, real f) {
  * and 1 - cdf <= TAIL / d1 e^(-mu (d1 - z1)), since e^(-mu d) / d falls with d. Every step shrinks
  * the bracket. A step that would leave the bracket is replaced by the bracket's geometric middle.
  * From the start used here the method needs at most steps - 1 steps for every medium of the
- * domain; the round trip in tests/accuracy/test_sample.c checks this. The code sums 1 - cdf from
+ * domain; tests/accuracy/truth.c checks samples. The code sums 1 - cdf from
  * the light beyond r, so that both tails keep their digits.
  */
 struct search {

@@ -22,7 +22,7 @@ enum lane_shared {
   LANES_Z2_PER_D, /* 4 A */
   LANES_C_PHI,
   LANES_C_FLUX,
-  LANES_C_BETWEEN, /* 4 A C_phi, which is 1 less a moment exactly */
+  LANES_C_BETWEEN, /* 4 A C_phi: 1 + 3 C2 or 1 + 2 C1, exactly */
   /* Burley's profile */
   LANES_SURFACE_ALBEDO, /* the parameter `surface_albedo`; -1: the better dipole's albedo is used */
   LANES_FIT,            /* enum core_burley_fit */

@@ -48,8 +48,8 @@ typedef struct expansion_boundaries {
   size_t count;
   const double *etas; /* [count] index inside over index outside, each 0.2 to 5 */
   size_t cones;
-  /* that of the largest angle to the normal outside that a cone has, over min(1, eta), which is
-   * that of all light; each above 0, up to 1 */
+  /* [cones] the sine of a cone's largest angle to the normal outside, over min(1, eta), the sine of
+   * all light; each above 0, up to 1 */
   const double *sines;
   /* Cosines at which light has a kink, ascending, above 0 and below 1: the functions are then
    * piecewise, an equal part of them, and one more, on each panel between two edges. */

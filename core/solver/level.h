@@ -59,8 +59,8 @@ extern const struct level solver_levels[SOLVER_LEVELS];
 size_t solver_first_level(double tolerance);
 
 /* Returns whether the grid `level` is to be solved, too. worst, before: what the last grid states,
- * and the one before it; infinite if it states nothing. The finest, which takes three times as long
- * as the one before, has to promise the tolerance, unless CORE_TOLERANCE_FINEST or less is
+ * and the one before it; infinite if it states nothing. The finest grid takes three times as
+ * long as the one before: it has to promise the tolerance, unless CORE_TOLERANCE_FINEST or less is
  * requested. */
 bool solver_goes_on(size_t level, double worst, double before, double tolerance);
 
@@ -100,11 +100,11 @@ double solver_error_between(double margin, double fine, double coarse);
  * 0 at some radii. */
 double solver_error_near(const double error[SOLVER_ERROR_RADII], double r);
 
-/* Returns the least relative error that is stated at the radius r, in reduced mean free paths.
- * Grids share what they lack beyond K: waves that fade as r grows, and larger ones where eta is. Of
- * 120 media against finer grids, R was off by up to 1.1e-3 at r = 0.024 (g 0.9, eta 3.3) and 5.8e-4
- * at 0.7 (g 0.84, eta 2.3, 16 sigma_s' absorbed), where two grids agreed within 2e-4. unit: the
- * scaled mean free path over the reduced one. */
+/* Returns the least relative error that is stated at the radius r, in reduced mean free paths. All
+ * grids lack the waves beyond K, so that their difference does not show this error: it falls as r
+ * grows, and rises with eta. Of 120 media against finer grids, R was off by up to 1.1e-3 at r =
+ * 0.024 (g 0.9, eta 3.3) and 5.8e-4 at 0.7 (g 0.84, eta 2.3, 16 sigma_s' absorbed), where two grids
+ * agreed within 2e-4. unit: the scaled mean free path over the reduced one. */
 double solver_floor_at(const double floor[2], double unit, double eta, double r);
 
 /* Returns the limit of k^2 X for large k, see solver.c. single: the albedo by which light scattered

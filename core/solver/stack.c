@@ -531,7 +531,7 @@ static void scatter_once(const struct work *by, stack_exitance *exitance) {
   }
 }
 
-/* ---- all ------------------------------------------------------------------------------------------- */
+/* ---- the whole stack ------------------------------------------------------------------------------- */
 
 /* Returns how many numbers lay_out() needs for one wavenumber. */
 static size_t numbers_for(const stack *of) {

@@ -406,7 +406,7 @@ static void write_table(struct mc_task *task, enum mc_state state) {
   put_reply(task, state);
 }
 
-/* ---- the end --------------------------------------------------------------------------------- */
+/* ---- the end of a walk ----------------------------------------------------------------------- */
 
 static void free_walk(struct walk *walk) {
   for (size_t i = 0; i < walk->slot_count; i++) {

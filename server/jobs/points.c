@@ -191,7 +191,7 @@ static bool has_its_name(struct points *points) {
   return memcmp(name, points->set, sizeof name) == 0;
 }
 
-/* ---- the kind -------------------------------------------------------------------------------- */
+/* ---- sets in the cache ----------------------------------------------------------------------- */
 
 /* Builds the tree of a set. */
 static core_fault prepare(void *thing, const struct cache_key *key, const core_isa *isa,

@@ -365,7 +365,7 @@ static void set_errors(uint16_t image[REGISTERS_END], const wire_quantity_error 
   registers_set_f64(image, REGISTERS_AT_MODEL_ERROR_DOUBLE, error->model_error);
 }
 
-/* Sets the errors of each quantity of its own; NaN for those that are not wanted. */
+/* Sets the errors of each quantity; NaN for those that are not wanted. */
 static void set_errors_of_each(uint16_t image[REGISTERS_END], const uint8_t *reply,
                                const eval_layout *layout, unsigned wanted, double r, bool rounded) {
   static const unsigned quantities[REGISTERS_WANTED_MAX] = {CORE_QUANTITY_R, CORE_QUANTITY_ALBEDO,

@@ -203,7 +203,7 @@ static bool write_tls(struct transport *t, const uv_buf_t *buffers, unsigned cou
   return (sent >= 0 || sent == UV_EAGAIN) && set_events(t);
 }
 
-/* ---- both ------------------------------------------------------------------------------------ */
+/* ---- TCP or TLS ------------------------------------------------------------------------------ */
 
 int transport_open(struct transport *t, uv_loop_t *loop, int fd, struct tls_session *session,
                    const struct transport_calls *calls, void *owner) {

@@ -51,7 +51,7 @@ struct cache_key profiles_cache_key(const struct profiles_key *key, const struct
       .kind = kind, .content = key, .content_bytes = key_bytes(key), .hash = key->hash};
 }
 
-/* ---- the kind -------------------------------------------------------------------------------- */
+/* ---- profiles in the cache ------------------------------------------------------------------- */
 
 static core_fault prepare_profile(core_profile *profile, const struct profiles_key *key,
                                   const core_isa *isa, const atomic_bool *stop) {

@@ -337,7 +337,7 @@ static form_values slab_at(const form_part *p, quad x) {
   return at;
 }
 
-/* ---- all ---------------------------------------------------------------------------------------- */
+/* ---- any model ---------------------------------------------------------------------------------- */
 
 static void prepare_part(form_part *p, const struct formula *formula, enum core_moments moments,
                          const core_medium *medium, const core_parameters *parameters) {

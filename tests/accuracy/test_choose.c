@@ -115,9 +115,9 @@ UNIT_TEST(the_total_is_that_of_a_medium) {
   assert_true(one.total_ns == one.prepare_ns + 2 * 1234 * one.cost_ns);
 }
 
-/* ---- edges ----------------------------------------------------------------------------------- */
+/* ---- what limits a choice -------------------------------------------------------------------- */
 
-/* A quantity more is never nearer. */
+/* One more quantity never makes the error smaller. */
 UNIT_TEST(what_is_wanted_has_to_be_met_together) {
   core_choose_request request = easy(&ordinary, 1);
   const double R = choose(&request).error;

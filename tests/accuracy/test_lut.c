@@ -40,8 +40,8 @@ static core_fault table_prepare(core_profile *table, unsigned model, const core_
                               CORE_EVALUATOR_LUT, &needed, &parameters);
 }
 
-/* What is left of an error when what core.h allows for underflow is forgiven: of `value` in single
- * precision, relative to the truth. */
+/* Returns the relative error of a value in single precision; 0 if it is no more than core.h allows
+ * for underflow. */
 static double table_error(float value, double truth) {
   const double off = fabs((double)value - truth);
   if (off <= 16 * 0x1p-149) {

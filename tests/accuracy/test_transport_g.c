@@ -465,7 +465,7 @@ UNIT_TEST(the_stated_error_is_the_tables_whatever_the_tolerance) {
   }
 }
 
-/* ---- outside ---------------------------------------------------------------------------------- */
+/* ---- outside the table ------------------------------------------------------------------------ */
 
 UNIT_TEST(outside_of_the_table_media_are_solved_or_refused) {
   static const struct {

@@ -180,7 +180,7 @@ static void measure(const core_choice *model, const core_choice *evaluator,
   }
 }
 
-/* ---- all of them -------------------------------------------------------------------------- */
+/* ---- all figures -------------------------------------------------------------------------- */
 
 void bench_kernel(void) {
   const struct arrays arrays = {aligned_alloc(BENCH_ALIGNMENT, LENGTH_MAX * sizeof(double)),

@@ -240,7 +240,7 @@ static void learn_all(dipole_client *client, bool quick_only) {
   learn_grid(client, "classical", DIPOLE_F32, is_short ? FEW : PARTS);
 }
 
-/* ---- asking -------------------------------------------------------------------------------- */
+/* ---- requests ------------------------------------------------------------------------------ */
 
 static const question *choose(uint64_t *random) {
   /* The last question is large. If it were as frequent as the others, it would take all the time.

@@ -1,5 +1,5 @@
 /* Numbers that a rule makes: known values, independence of slices, and the range (0, 1). Invalid
- * rules and lists are in tests/e2e/test_sample.py. */
+ * rules and lists are in tests/e2e/wrong.txt. */
 #include "core/draw.h"
 
 #include <float.h>

@@ -1,5 +1,5 @@
-/* Radii: checks of lists, and expansion of grids. tests/e2e/test_bad_requests.py tests which grids
- * are refused. */
+/* Radii: checks of lists, and expansion of grids. tests/e2e/wrong.txt lists which grids are
+ * refused. */
 #include <float.h>
 #include <math.h>
 

@@ -67,7 +67,7 @@ UNIT_TEST(test_both_ways) {
   peer_finish(&peer, client);
 }
 
-/* ---- how many ------------------------------------------------------------------------------ */
+/* ---- limits -------------------------------------------------------------------------------- */
 
 UNIT_TEST(test_no_more_than_may_be_outstanding) {
   enum { MOST = 3 };

@@ -320,7 +320,7 @@ static void add_arc(nodes *to, const nodes_rules *rules, double complex k, int s
   }
 }
 
-/* ---- all of them ---------------------------------------------------------------------------- */
+/* ---- all nodes ------------------------------------------------------------------------------ */
 
 bool isotropic_nodes_make(nodes *to, const nodes_rules *rules, double complex k) {
   const bool chords = rules->eta != 1 && fn_abs(k) < CHORDS_UP_TO;
