@@ -310,17 +310,9 @@ UNIT_TEST(refuses_what_is_no_tissue) {
   assert_refused(CORE_PROPERTY_VESSEL_RADIUS, .01, "vessel_radius_mm"); /* with whole blood */
 }
 
-UNIT_TEST(refuses_wavelengths_without_a_law) {
-  core_tissue tissue = tissue_of(1, 1);
-  core_medium medium;
-  unit_assert_fault(core_tissue_medium(&tissue, 399.9, &medium), "wavelength", 0);
-  unit_assert_fault(core_tissue_medium(&tissue, 1300.1, &medium), "wavelength", 0);
-  unit_assert_fault(core_tissue_medium(&tissue, 1200, &medium), NULL, 0);
-  tissue.value[CORE_PROPERTY_HB] = 1;
-  unit_assert_fault(core_tissue_medium(&tissue, 1200, &medium), "wavelength", 0);
-  tissue.haemoglobin = CORE_HAEMOGLOBIN_UCL;
-  unit_assert_fault(core_tissue_medium(&tissue, 600, &medium), "wavelength", 0);
-  tissue = tissue_of(0, 0);
+/* tests/e2e/wrong.txt has those that are refused. */
+UNIT_TEST(without_scattering_its_law_does_not_matter) {
+  core_tissue tissue = tissue_of(0, 0);
   tissue.value[CORE_PROPERTY_WATER] = 1;
-  unit_assert_fault(core_tissue_medium(&tissue, 300, &medium), NULL, 0); /* does not scatter */
+  assert_true(medium_at(&tissue, 300).sigma_s_per_mm == 0);
 }
