@@ -753,6 +753,76 @@ typedef struct dipole_tissue_query {
 bool dipole_tissue(dipole_client *client, const dipole_tissue_query *query, dipole_medium *media,
                    dipole_error *error);
 
+/* What a fit of a tissue seeks: a property, between limits. */
+typedef struct dipole_sought {
+  uint16_t property; /* dipole_id(client, DIPOLE_PROPERTY, name): an amount, a_per_mm or b */
+  uint16_t zero;
+  uint32_t zero_too;
+  double low, high; /* both 0: the usual limits */
+} dipole_sought;
+
+typedef struct dipole_tissue_fit_query {
+  /* What is not sought, and where the search starts; the wavelengths. g is 0.9 and eta 1.4 unless
+   * they are properties. */
+  dipole_tissue_query tissue;
+  unsigned model;              /* the model of the readings */
+  unsigned axis;               /* enum dipole_axis */
+  unsigned scale;              /* DIPOLE_ABSOLUTE or DIPOLE_FREE: one factor for all wavelengths */
+  const dipole_sought *sought; /* [sought_count] */
+  uint32_t sought_count;       /* 1 to 16 */
+  uint32_t place_count;        /* at each wavelength: 1 to 1024, with the wavelengths up to 4096 */
+  const double *at;            /* [place_count] distances in mm, or frequencies in 1/mm */
+  const double *source_mm, *detector_mm; /* [place_count] diameters, as of a fit; NULL: 0 */
+  double detector_na;                    /* as of a fit; 0: light of all angles */
+  uint64_t set_count;                    /* at least 1 */
+  /* [set_count][wavelength_count][place_count] readings and their standard errors */
+  const double *values, *errors;
+  bool residuals; /* whether the residuals are wanted */
+} dipole_tissue_fit_query;
+
+/* What was found for one set. With DIPOLE_FIT_REFUSED all numbers from saturation on are NaN. */
+typedef struct dipole_fitted_tissue {
+  uint16_t status; /* enum dipole_fit_status: DIPOLE_FITTED if all estimates are */
+  uint16_t field;  /* DIPOLE_FIT_REFUSED: what is wrong of a reading: 1 its value, 2 its error */
+  uint16_t saturation_status, total_status;
+  uint32_t index; /* DIPOLE_FIT_REFUSED: the position of that reading in its set */
+  uint32_t evaluations;
+  double saturation, saturation_error; /* of haemoglobin, by the covariance; NaN: not known */
+  double total_uM, total_error_uM;     /* oxyhaemoglobin and haemoglobin */
+  double factor, factor_error;         /* of all readings; 1 and 0 unless DIPOLE_FREE */
+  double chi_squared;
+  double reduced_chi_squared; /* over readings less unknowns; NaN if there are as many unknowns */
+  double condition;
+  double numerical_error, model_error; /* the largest ones of R, relative; NaN: not known */
+} dipole_fitted_tissue;
+
+typedef struct dipole_tissue_estimate {
+  uint16_t property;
+  uint16_t status; /* enum dipole_fit_status */
+  uint32_t zero;
+  double value;     /* in the unit of the property; NaN if undetermined */
+  double error;     /* its standard error; infinity if undetermined or at a limit */
+  double numerical; /* how far numerical errors of R may shift it */
+} dipole_tissue_estimate;
+
+typedef struct dipole_tissue_fits {
+  uint64_t set_count, fitted_count;
+  uint32_t sought_count, reading_count;    /* reading_count: of the residuals, or 0 */
+  unsigned haemoglobin;                    /* enum dipole_haemoglobin */
+  double g, eta;                           /* of all media */
+  const dipole_fitted_tissue *sets;        /* [set_count], in the order of the query */
+  const dipole_tissue_estimate *estimates; /* [set_count][sought_count], by ids of properties */
+  const double *covariance;                /* [set_count][sought_count][sought_count] */
+  const double *residuals; /* [set_count][reading_count]: (value - factor R) / error, or NULL */
+} dipole_tissue_fits;
+
+/* Finds amounts of chromophores and scattering from readings at several wavelengths. The caller
+ * frees *fits with dipole_tissue_fits_free(). */
+bool dipole_fit_tissue(dipole_client *client, const dipole_tissue_fit_query *query,
+                       dipole_tissue_fits **fits, dipole_error *error);
+
+void dipole_tissue_fits_free(dipole_tissue_fits *fits); /* fits may be NULL */
+
 /* ---- tables -------------------------------------------------------------------------------- */
 
 /* The table that the evaluator DIPOLE_LUT uses for one medium. The library evaluates it in this

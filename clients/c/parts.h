@@ -17,6 +17,7 @@ typedef struct libdipole_frame {
     dipole_inversion inversion;
     dipole_fits fits;
     dipole_layers_fit layers_fit;
+    dipole_tissue_fits tissue_fits;
     dipole_varying_result varying;
     dipole_mc_result mc;
   };

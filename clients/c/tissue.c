@@ -41,3 +41,108 @@ bool dipole_tissue(dipole_client *client, const dipole_tissue_query *query, dipo
   free(frame);
   return fits || libdipole_bad_reply(client, "media are of another tissue", error);
 }
+
+/* ---- fits ------------------------------------------------------------------------------------ */
+
+/* The arrays of a frame are used in place. */
+_Static_assert(sizeof(dipole_sought) == WIRE_BYTES_sought, "the structures are the same");
+_Static_assert(sizeof(dipole_fitted_tissue) == WIRE_BYTES_fitted_tissue, "they are the same");
+_Static_assert(sizeof(dipole_tissue_estimate) == WIRE_BYTES_tissue_estimate, "they are the same");
+
+static bool merge_part(const libdipole_pending *pending, const void *part, void *whole) {
+  const wire_fit_tissue_reply *fixed = part;
+  wire_fit_tissue_reply *all = whole;
+  if (all != NULL) {
+    all->fitted_count += fixed->fitted_count;
+  }
+  return fixed->fitted_count <= fixed->count && fixed->reading_count == pending->medium_count &&
+         (all == NULL || fixed->sought_count == all->sought_count);
+}
+
+static const libdipole_kind fit_kind = {
+    .repeatable = true, .reply = &schema_fit_tissue_reply, .merge = merge_part};
+
+static bool check_fit(const dipole_tissue_fit_query *query, dipole_error *error) {
+  const dipole_tissue_query *tissue = &query->tissue;
+  if (!libdipole_query_check(query->model,
+                             query->axis | query->scale | tissue->tissue | tissue->haemoglobin,
+                             tissue->properties, tissue->property_count, error)) {
+    return false;
+  }
+  const bool given = (query->sought != NULL || query->sought_count == 0) &&
+                     (query->at != NULL || query->place_count == 0) &&
+                     (tissue->wavelengths_nm != NULL || tissue->wavelength_count == 0) &&
+                     ((query->values != NULL && query->errors != NULL) || query->set_count == 0);
+  return (given && query->sought_count <= UINT16_MAX &&
+          (uint64_t)query->place_count * tissue->wavelength_count <= UINT16_MAX) ||
+         libdipole_fail_argument(error,
+                                 "sought, wavelengths_nm, at, values or errors is NULL although "
+                                 "its count is not 0, or a set has more than 65535 readings");
+}
+
+bool dipole_fit_tissue(dipole_client *client, const dipole_tissue_fit_query *query,
+                       dipole_tissue_fits **fits, dipole_error *error) {
+  const dipole_tissue_query *tissue = &query->tissue;
+  error = error != NULL ? error : &(dipole_error){0};
+  if (!check_fit(query, error)) {
+    return false;
+  }
+  const wire_fit_tissue_request start = {.set_count = query->set_count,
+                                         .model = (uint16_t)query->model,
+                                         .axis = (uint16_t)query->axis,
+                                         .scale = (uint16_t)query->scale,
+                                         .residuals = query->residuals,
+                                         .tissue = (uint16_t)tissue->tissue,
+                                         .haemoglobin = (uint16_t)tissue->haemoglobin,
+                                         .property_count = (uint32_t)tissue->property_count,
+                                         .sought_count = query->sought_count,
+                                         .wavelength_count = tissue->wavelength_count,
+                                         .place_count = query->place_count,
+                                         .detector_na = query->detector_na};
+  const wire_fit_tissue_reply shape = {
+      .count = query->set_count,
+      .sought_count = (uint16_t)query->sought_count,
+      .reading_count = query->residuals ? query->place_count * tissue->wavelength_count : 0};
+  const void *const parts[] = {tissue->properties, query->sought,      query->at,
+                               query->source_mm,   query->detector_mm, tissue->wavelengths_nm,
+                               query->values,      query->errors};
+  libdipole_pending pending = {.kind = &fit_kind,
+                               .type = WIRE_TYPE_FIT_TISSUE,
+                               .deadline_ms = tissue->deadline_ms,
+                               .reply_bytes_min = WIRE_BYTES_fit_tissue_reply,
+                               .reply_bytes_max = schema_bytes(&schema_fit_tissue_reply, &shape),
+                               .medium_count = shape.reading_count,
+                               .radius_count = query->set_count};
+  libdipole_frame *frame = NULL;
+  if (!libdipole_request_put(client, &pending, &schema_fit_tissue_request, &start, parts, error) ||
+      (frame = libdipole_reply(client, &pending, error)) == NULL) {
+    return false;
+  }
+  const wire_fit_tissue_reply *fixed = (const void *)frame->payload;
+  if (fixed->sought_count != query->sought_count || fixed->haemoglobin != tissue->haemoglobin) {
+    free(frame);
+    return libdipole_bad_reply(client, "a fit is of another tissue", error);
+  }
+  schema_layout layout;
+  schema_lay_out(&schema_fit_tissue_reply, frame->payload, UINT64_MAX, &layout, NULL);
+  frame->tissue_fits = (dipole_tissue_fits){
+      .set_count = fixed->count,
+      .fitted_count = fixed->fitted_count,
+      .sought_count = fixed->sought_count,
+      .reading_count = fixed->reading_count,
+      .haemoglobin = fixed->haemoglobin,
+      .g = fixed->g,
+      .eta = fixed->eta,
+      .sets = (const void *)(frame->payload + layout.parts[0].at),
+      .estimates = (const void *)(frame->payload + layout.parts[1].at),
+      .covariance = (const void *)(frame->payload + layout.parts[2].at),
+      .residuals =
+          fixed->reading_count > 0 ? (const void *)(frame->payload + layout.parts[3].at) : NULL,
+  };
+  *fits = &frame->tissue_fits;
+  return true;
+}
+
+void dipole_tissue_fits_free(dipole_tissue_fits *fits) {
+  free(fits); /* with its frame */
+}

@@ -91,7 +91,7 @@ typedef struct cli_settings {
   cli_texts medium, channel;
   cli_numbers sigma_a, sigma_s, g, eta, thickness;
   cli_texts layer;
-  cli_texts tissue, wavelengths;
+  cli_texts tissue, wavelengths, unknown;
   const char *haemoglobin;
   cli_texts model;
   const char *moments, *evaluator;

@@ -6,6 +6,7 @@
 
 #include "clients/cli/csv.h"
 #include "clients/cli/daemon.h"
+#include "clients/cli/fit_tissue.h"
 #include "clients/cli/options.h"
 #include "clients/cli/picture.h"
 #include "clients/cli/profile.h"
@@ -34,6 +35,15 @@ static const cli_option options[] = {
      "one "
      "without thickness is a half space",
      CLI_FILES, offsetof(cli_settings, layer), NULL, "SIGMA_A,SIGMA_S,G,ETA[,THICKNESS]"},
+    CLI_TITLE("Tissue"),
+    {"unknown",
+     "in place of sigma_a and sigma_s': amounts, a and b of a tissue that are sought, with limits "
+     "if "
+     "the usual ones do not do",
+     CLI_NAMES, offsetof(cli_settings, unknown), NULL, "PROPERTY[=LOW:HIGH][,...]"},
+    {"tissue", "what is known besides, and where the search starts; `dipole tissue` lists it",
+     CLI_FILES, offsetof(cli_settings, tissue), NULL, "[NAME][,PROPERTY=X]..."},
+    CLI_OPTION(TEXT, haemoglobin, "prahl", "the table of its absorption: prahl or ucl"),
     CLI_TITLE("Evaluation"),
     CLI_OPTION(NAME, model, CLI_MODEL_DEFAULT, "the model that is fitted; see `dipole info`"),
     CLI_MOMENTS_OPTION,
@@ -122,6 +132,12 @@ static int take_layers(const cli_settings *settings, report *of) {
 }
 
 static int check(cli_settings *settings) {
+  if (settings->unknown.count > 0) {
+    return cli_fit_tissue_check(settings);
+  }
+  if (settings->tissue.count > 0) {
+    return cli_fail_usage("--tissue: give --unknown, too, with what is sought");
+  }
   const size_t numbers = settings->reference.count;
   if (numbers != 0 && numbers != REFERENCE_NUMBERS) {
     return cli_fail_usage("--reference: give four numbers: sigma_a, sigma_s, g and eta");
@@ -753,6 +769,9 @@ static void write_layers_foot(const void *context) {
 /* ---- running ------------------------------------------------------------------------------- */
 
 static int run_fit(const cli_settings *settings, dipole_client *client) {
+  if (settings->unknown.count > 0) {
+    return cli_fit_tissue_run(settings, client);
+  }
   report of = {.settings = settings};
   dipole_error error;
   int status = take_layers(settings, &of);
@@ -819,7 +838,11 @@ const cli_command cli_command_fit = {
         "--detector-na it contains that of the share that is detected. It is not part of the "
         "standard errors.\n"
         "With --layer the file has r, R, error and sample alone, and a row of output is one "
-        "unknown: sample_status is that of its sample.",
+        "unknown: sample_status is that of its sample.\n"
+        "With --unknown the file has wavelength_nm, too, and for each wavelength of a sample the "
+        "same "
+        "places. A property is named with or without its unit, as hbo2 for hbo2_uM. The saturation "
+        "and the total of haemoglobin have their errors from the covariance.",
     .formats = "table,csv,json",
     .options = {options},
     .parameters = CLI_OF_INVERTED | CLI_PARAMETER_BIT(DETECTOR_NA),
@@ -830,6 +853,7 @@ const cli_command cli_command_fit = {
         "  dipole fit readings.csv --model better --eta 1.4 --scale free --format csv > found.csv\n"
         "  dipole fit readings.csv --g 0.8 --eta 1.4 --plot fit.svg\n"
         "  dipole fit readings.csv --layer x,20,0.8,1.4,0.06 --layer x,15,0.8,1.4\n"
+        "  dipole fit bands.csv --unknown hbo2,hb,water=0.2:0.9,a,b --tissue fat=0.1,eta=1.4\n"
         "  printf 'r,R,error\\n1,.0234,.0005\\n2,.00787,.0002\\n4,.00159,.00003\\n' |\n"
         "    dipole fit --model better --eta 1.4\n",
 };

@@ -4,6 +4,7 @@
 
 #include "clients/cli/cli.h"
 #include "clients/cli/rows.h"
+#include "core/tissue/tissue.h"
 
 /* ---- options --------------------------------------------------------------------------------- */
 
@@ -183,6 +184,14 @@ int cli_profile_take(const cli_settings *settings, dipole_client *client, cli_pr
 /* Sets the media of a tissue, of a profile whose info is there: a channel for each wavelength. Says what
  * is wrong and returns an exit status. */
 int cli_tissue_take(const cli_settings *settings, dipole_client *client, cli_profile *profile);
+
+/* Finds a property by its name, with or without the last words of it, as hbo2 for hbo2_uM. Says what is
+ * wrong with the option and returns NULL if there is none, or several. */
+const dipole_choice *cli_property(const dipole_info *info, const char *option, const char *name);
+
+/* Reads a text of --tissue: a name, and properties. Says what is wrong and returns false. */
+bool cli_tissue_read(const dipole_info *info, const char *text, dipole_tissue_query *query,
+                     dipole_parameter properties[CORE_PROPERTIES_END]);
 
 /* Sets the numbers of channels and of layers and allocates the channels' arrays. */
 void cli_profile_set_channels(cli_profile *profile, size_t count, uint32_t layer_count);

@@ -75,9 +75,7 @@ int cli_tissue_check(const cli_settings *settings) {
   return read_wavelengths(&settings->wavelengths, &count) != NULL ? CLI_OK : CLI_USAGE;
 }
 
-/* Finds a property by its name, with or without the last words of it, as hbo2 for hbo2_uM. Returns
- * NULL if there is none, or several. */
-static const dipole_choice *find_property(const dipole_info *info, const char *name) {
+const dipole_choice *cli_property(const dipole_info *info, const char *option, const char *name) {
   const dipole_choice *one, *near = NULL, *found = cli_choice(info, DIPOLE_PROPERTY, name);
   const size_t length = strlen(name);
   size_t count = 0;
@@ -88,12 +86,17 @@ static const dipole_choice *find_property(const dipole_info *info, const char *n
       count++;
     }
   }
-  return count == 1 ? near : found;
+  found = count == 1 ? near : found;
+  if (found == NULL) {
+    char known[1024];
+    cli_list_names(info, DIPOLE_PROPERTY, known, sizeof known);
+    cli_fail_usage("%s: '%s' is no property; they are %s", option, name, known);
+  }
+  return found;
 }
 
-/* Reads a text of --tissue: a name, and properties. Says what is wrong and returns false. */
-static bool read_tissue(const dipole_info *info, const char *text, dipole_tissue_query *query,
-                        dipole_parameter properties[CORE_PROPERTIES_END]) {
+bool cli_tissue_read(const dipole_info *info, const char *text, dipole_tissue_query *query,
+                     dipole_parameter properties[CORE_PROPERTIES_END]) {
   query->properties = properties;
   char *rest = cli_copy(text, strlen(text)), *one;
   for (bool first = true; (one = strsep(&rest, ",")) != NULL; first = false) {
@@ -109,11 +112,11 @@ static bool read_tissue(const dipole_info *info, const char *text, dipole_tissue
     if (number != NULL) {
       *number++ = '\0';
     }
-    const dipole_choice *property = find_property(info, one);
+    char option[96];
+    snprintf(option, sizeof option, "--tissue %.80s", text);
+    const dipole_choice *property = cli_property(info, option, one);
     if (property == NULL) {
-      char known[1024];
-      cli_list_names(info, DIPOLE_PROPERTY, known, sizeof known);
-      return cli_fails_usage("--tissue %s: '%s' is no property; they are %s", text, one, known);
+      return false;
     }
     double value;
     if (number == NULL || !decimal_read(number, &value)) {
@@ -139,7 +142,7 @@ static int take_layer(const cli_settings *settings, dipole_client *client, cli_p
                                .wavelengths_nm = profile->wavelengths_nm,
                                .wavelength_count = (uint32_t)count,
                                CLI_DEADLINE_OF(settings)};
-  if (!read_tissue(profile->info, text, &query, properties)) {
+  if (!cli_tissue_read(profile->info, text, &query, properties)) {
     return CLI_USAGE;
   }
   if (!CLI_RETRY(settings, &error, dipole_tissue(client, &query, media, &error))) {

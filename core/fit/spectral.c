@@ -628,7 +628,7 @@ static void put_haemoglobin(const core_spectral *of, const struct found *at,
                             core_spectral_result *result) {
   const double none = (double)NAN;
   const core_spectral_estimate absent = {of->chromophores + 2, CORE_FIT_STATUS_UNDETERMINED, none,
-                                         (double)INFINITY, none};
+                                         none, none};
   double by_share[MOST] = {0}, by_total[MOST] = {0}, row[MOST], error, shift;
   bool sought = false, bound = at->q.outside;
   result->saturation = result->total = absent;

@@ -62,8 +62,8 @@ typedef struct core_spectral_result {
   /* [unknown_count][unknown_count] as the readings' errors have it, of UNDETERMINED ones, too; a
    * variance is INFINITY without information */
   double covariance[CORE_SPECTRAL_UNKNOWNS_MAX * CORE_SPECTRAL_UNKNOWNS_MAX];
-  /* Oxyhaemoglobin's share of both, and their sum, by their covariance; NAN unless both are there
-   * and one of them is sought. */
+  /* Oxyhaemoglobin's share of both, and their sum, by their covariance; NAN, and so are the errors,
+   * unless both are there and one of them is sought. */
   core_spectral_estimate saturation, total;
   double factor; /* of all readings; 1 unless the scale is FREE */
   double factor_error;

@@ -283,7 +283,9 @@ static wire_fit_tissue_reply reply_of(const struct tissue_fit *of) {
                                  .fitted_count = of->fitted,
                                  .reading_count = of->fixed.residuals != 0 ? readings : 0,
                                  .sought_count = (uint16_t)of->fixed.sought_count,
-                                 .haemoglobin = of->fixed.haemoglobin};
+                                 .haemoglobin = of->fixed.haemoglobin,
+                                 .g = of->tissue.value[CORE_PROPERTY_G],
+                                 .eta = of->tissue.value[CORE_PROPERTY_ETA]};
 }
 
 static void release(struct tissue_fit *of) {

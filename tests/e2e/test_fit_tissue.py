@@ -27,6 +27,7 @@ def test_a_tissue_comes_back_with_its_saturation(daemon):
         noisy[3, 2, 1] = np.nan
         fits = client.fit_tissue(list(TRUTH), NM, AT_MM, noisy, 0.01 * R, residuals=True)
         assert list(fits.estimates) == list(TRUTH) and fits.haemoglobin == "prahl"
+        assert (fits.g, fits.eta) == (0.9, 1.4)
         good = np.arange(20) != 3
         assert set(fits.status()[good]) == {"fitted"} and fits.status()[3] == "refused"
         assert (fits.sets["field"][3], fits.sets["index"][3]) == (1, 2 * len(AT_MM) + 1)
@@ -46,6 +47,7 @@ def test_a_tissue_comes_back_with_its_saturation(daemon):
         reply = post(one, "/v1/fit_tissue", sought=sought, wavelength=NM, at=AT_MM, **lists).json
         assert [each["value"] for each in reply["estimates"]] == [e["value"] for e in alone.estimates.values()]
         assert reply["sets"][0]["saturation"] == alone.sets["saturation"] and reply["haemoglobin"] == "prahl"
+        assert (reply["g"], reply["eta"]) == (0.9, 1.4)
 
 
 def test_another_table_of_haemoglobin_gives_other_amounts(daemon):

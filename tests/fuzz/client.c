@@ -443,6 +443,27 @@ static bool ask(dipole_client *client, unsigned type, unsigned how, dipole_error
                                         .wavelength_count = 2};
     return dipole_tissue(client, &tissue, found, error);
   }
+  case WIRE_TYPE_FIT_TISSUE: {
+    dipole_tissue_fits *fits;
+    const dipole_parameter scattering[] = {{.id = 32, .value = 2}, {.id = 33, .value = 1}};
+    const dipole_sought blood[] = {{.property = 1}, {.property = 2}};
+    const dipole_tissue_fit_query fit = {.tissue = {0, DIPOLE_PRAHL, scattering, 2, radii, 2, 0},
+                                         .model = CORE_MODEL_BETTER,
+                                         .axis = DIPOLE_AXIS_RADIUS,
+                                         .scale = DIPOLE_ABSOLUTE,
+                                         .sought = blood,
+                                         .sought_count = 2,
+                                         .place_count = 1,
+                                         .at = radii,
+                                         .set_count = query.medium_count / 2 + 1,
+                                         .values = albedos,
+                                         .errors = albedos,
+                                         .residuals = into};
+    if ((good = dipole_fit_tissue(client, &fit, &fits, error))) {
+      dipole_tissue_fits_free(fits);
+    }
+    return good;
+  }
   case WIRE_TYPE_VARYING: {
     dipole_varying_result *result;
     const dipole_varying_query varying = {.model = CORE_MODEL_BETTER,

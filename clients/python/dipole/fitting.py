@@ -305,4 +305,5 @@ async def fit_tissue(
         found["residuals"].reshape(readings.shape) if residuals else None,
         {choice.id: one for one, choice in info.choices["fit_status"].items()},
         name_of(info, "haemoglobin", int(head["haemoglobin"])),
+        *pieces[0].replies[0][-2:],
     )

@@ -95,7 +95,7 @@ fit_tissue_request: u64 set_count, u16 model, u16 axis, u16 scale, u16 residuals
     u32 zero, f64 detector_na
 sought: u16 property, u16 zero, u32 zero_too, f64 low, f64 high
 fit_tissue_reply: u32 part, u32 part_count, u64 first, u64 count, u64 fitted_count,
-    u32 reading_count, u16 sought_count, u16 haemoglobin
+    u32 reading_count, u16 sought_count, u16 haemoglobin, f64 g, f64 eta
 fitted_tissue: u16 status, u16 field, u16 saturation_status, u16 total_status, u32 index,
     u32 evaluations, f64 saturation, f64 saturation_error, f64 total, f64 total_error, f64 factor,
     f64 factor_error, f64 chi_squared, f64 reduced_chi_squared, f64 condition,

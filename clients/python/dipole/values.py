@@ -485,6 +485,8 @@ class TissueFits:
     residuals: Array | None  # [..., W, P]: (value - factor R) / error; None if not wanted
     status_names: dict[int, str]  # the name of each number of a status
     haemoglobin: str  # the table of its absorption
+    g: float  # of all media
+    eta: float
 
     def status(self, name: str | None = None) -> Array:
         """The names of how each set, or one of its estimates, has ended; only "fitted" is a success."""

@@ -1,0 +1,11 @@
+/* fit_tissue: the part of `dipole fit` that finds what a tissue is made of. */
+#ifndef DIPOLE_CLI_FIT_TISSUE_H
+#define DIPOLE_CLI_FIT_TISSUE_H
+
+#include "clients/cli/cli.h"
+
+/* Check and run the command with --unknown. Both return an exit status. */
+int cli_fit_tissue_check(const cli_settings *settings);
+int cli_fit_tissue_run(const cli_settings *settings, dipole_client *client);
+
+#endif

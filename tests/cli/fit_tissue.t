@@ -1,0 +1,81 @@
+## dipole fit --unknown: what a tissue is made of, and what readings do not say.
+$ dipole eval --tissue hbo2=56,hb=24,water=.6,fat=.3,a=1.9,b=1.2 --wavelengths 650:1000:50 --r 2,4,7,12 --evaluator f64 --format csv | awk -F, 'NR == 1 { for (i = 1; i <= NF; i++) c[$i] = i; print "wavelength_nm,r,R,error"; next } { print $c["wavelength_nm"] "," $c["r"] "," $c["R"] "," $c["R"] / 100 }' > bands.csv
+
+$ dipole fit bands.csv --unknown hbo2,hb,water,fat,a,b
+model transport, moments exact, haemoglobin prahl, g 0.9, eta 1.4, scale absolute
+
+sample  unknown           value   error  numerical  status       chi2  readings  condition  sample is
+------  --------------  -------  ------  ---------  ------  ---------  --------  ---------  ---------
+1       hbo2_uM              56    0.66    1.4e-01  fitted  2.098e-07        32       29.8     fitted
+1       hb_uM                24    0.42    7.7e-02  fitted  2.098e-07        32       29.8     fitted
+1       water_fraction      0.6  0.0065    1.3e-03  fitted  2.098e-07        32       29.8     fitted
+1       fat_fraction    0.29999   0.051    1.1e-02  fitted  2.098e-07        32       29.8     fitted
+1       a_per_mm            1.9   0.033    6.1e-03  fitted  2.098e-07        32       29.8     fitted
+1       b                   1.2   0.031    5.8e-03  fitted  2.098e-07        32       29.8     fitted
+1       saturation          0.7  0.0045          -  fitted  2.098e-07        32       29.8     fitted
+1       total_uM             80    0.76          -  fitted  2.098e-07        32       29.8     fitted
+
+errors are standard errors, inf where a value has none; numerical: how far numerical errors of R may
+shift a value; chi2 is the sum of the squares of (reading - fit) / error
+
+$ dipole fit bands.csv --unknown hbo2,hb=0:20,water,a,b --tissue fat=.3 --format csv
+sample,unknown,value,error,numerical,status,scale,scale_error,chi2,readings,condition,sample_status
+1,hbo2_uM,56.947614678314935,0.5454534953092047,0.13157841320970037,fitted,1,0,98.81299151914664,32,27.876915980929272,at-bound
+1,hb_uM,20,inf,0.08202275006480869,at-bound,1,0,98.81299151914664,32,27.876915980929272,at-bound
+1,water_fraction,0.6205440838097008,0.006502869330943732,0.001389465255281493,fitted,1,0,98.81299151914664,32,27.876915980929272,at-bound
+1,a_per_mm,2.227243271600382,0.03917850456882907,0.008149582905422358,fitted,1,0,98.81299151914664,32,27.876915980929272,at-bound
+1,b,1.4640417599529196,0.030804028738681922,0.006285008290464731,fitted,1,0,98.81299151914664,32,27.876915980929272,at-bound
+1,saturation,0.7400829111648042,inf,,at-bound,1,0,98.81299151914664,32,27.876915980929272,at-bound
+1,total_uM,76.94761467831493,inf,,at-bound,1,0,98.81299151914664,32,27.876915980929272,at-bound
+! dipole fit: bands.csv: 1 of 1 samples were not fitted whole: see the column status
+? 3
+
+$ head -9 bands.csv | dipole fit --unknown hbo2,hb,water,a,b --tissue fat=.3 --scale free
+fat=.3, haemoglobin by prahl, model transport, moments exact, g 0.9, eta 1.4, scale free
+
+sample  unknown         value  error  numerical        status  scale  its error       chi2  readings  condition     sample is
+------  --------------  -----  -----  ---------  ------------  -----  ---------  ---------  --------  ---------  ------------
+1       hbo2_uM             -    inf    1.6e-01  undetermined      1      0.011  2.032e-08         8        inf  undetermined
+1       hb_uM               -    inf    1.6e-01  undetermined      1      0.011  2.032e-08         8        inf  undetermined
+1       water_fraction      -    inf    9.5e-02  undetermined      1      0.011  2.032e-08         8        inf  undetermined
+1       a_per_mm          1.9   0.18    1.7e-02        fitted      1      0.011  2.032e-08         8        inf  undetermined
+1       b                 1.2   0.31    2.9e-02        fitted      1      0.011  2.032e-08         8        inf  undetermined
+1       saturation          -    inf          -  undetermined      1      0.011  2.032e-08         8        inf  undetermined
+1       total_uM            -    inf          -  undetermined      1      0.011  2.032e-08         8        inf  undetermined
+
+errors are standard errors, inf where a value has none; numerical: how far numerical errors of R may
+shift a value; chi2 is the sum of the squares of (reading - fit) / error
+! dipole fit: standard input: 1 of 1 samples were not fitted whole: see the column status
+? 3
+
+$ head -14 bands.csv | dipole fit --unknown hbo2,hb --tissue a=1,b=1
+! dipole fit: standard input: sample 1: each wavelength needs one reading at each of the same places
+? 1
+
+$ dipole fit bands.csv --unknown hbo2 --tissue b=1
+! dipole fit: sample 1: bad-value: a_per_mm: allowed: 0 to 1000: it has to be given
+? 1
+
+$ dipole fit bands.csv --unknown hbo2=3,a
+! dipole fit: --unknown hbo2=3: give hbo2, or limits as hbo2=LOW:HIGH
+! `dipole fit --help` says more.
+? 2
+
+$ dipole fit bands.csv --unknown hbo2,x
+! dipole fit: --unknown: 'x' is no property; they are hbo2_uM, hb_uM, water_fraction, fat_fraction, melanosome_fraction, bilirubin_uM, carotene_uM, cco_ox_uM, cco_red_uM, blood_fraction, bloodless_fraction, a_per_mm, b, rayleigh_share, g, eta, vessel_radius_mm, thickness_mm
+! `dipole fit --help` says more.
+? 2
+
+$ dipole fit bands.csv --unknown hbo2 --eta 1.4
+! dipole fit: --unknown: leave --layer, --reference, --g, --eta, --thickness and --plot out; g=X and eta=X are properties of --tissue
+! `dipole fit --help` says more.
+? 2
+
+$ dipole fit bands.csv --tissue liver
+! dipole fit: --tissue: give --unknown, too, with what is sought
+! `dipole fit --help` says more.
+? 2
+
+$ cut -d, -f1,3- bands.csv | dipole fit --unknown hbo2 --tissue a=1,b=1
+! dipole fit: standard input: the column r or f (one of both) is missing; the header has wavelength_nm, R, error; it needs wavelength_nm, r (mm) or f (1/mm), R and error for --unknown, and may have sample, source_mm and detector_mm
+? 1
