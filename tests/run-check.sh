@@ -57,7 +57,7 @@ run_again() { # PART NAME
 # Whether all tests that failed in a part pass when each runs alone. Writes those to LOGS/flaky.
 all_are_flaky() { # PART
   local names name behind
-  case $1 in e2e) behind=' - ' ;; unit | units-long) behind=': ' ;; *) return 1 ;; esac
+  case $1 in e2e | services) behind=' - ' ;; unit | units-long) behind=': ' ;; *) return 1 ;; esac
   names=$(grep -E '^(FAILED|ERROR) ' "$logs/$1.log" | sed -E "s/^[A-Z]+ +//; s/$behind.*//" | sort -u)
   [ -n "$names" ] && [ "$(wc -l <<<"$names")" -le 10 ] || return 1
   while read -r name; do
@@ -100,7 +100,7 @@ for part in $parts; do
     passed=$((passed + one))
     failed=$((failed + $(grep -c '^FAILED' "$logs/$part.log")))
     ;;
-  e2e | soak* | tls-long | balancer-long | blender | pipeline | packages | plan | figures)
+  e2e | services | soak* | tls-long | balancer-long | blender | pipeline | packages | plan | figures)
     passed=$((passed + $(pytest_count "$part" passed)))
     failed=$((failed + $(pytest_count "$part" failed) + $(pytest_count "$part" error)))
     skipped=$((skipped + $(pytest_count "$part" skipped)))

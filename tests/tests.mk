@@ -61,14 +61,14 @@ $(BUILD)/prometheus:
 
 .PHONY: check-programs check-nightly check-ci check-structure check-types check-unit check-units-long check-bits \
 	check-bits-aarch64 check-e2e check-again check-packages check-soak check-soak-long check-tls-long \
-	check-balancer-long check-blender check-figures check-plan plan scaling check-pipeline check-asan check-tsan check-fuzz \
+	check-services check-balancer-long check-blender check-figures check-plan plan scaling check-pipeline check-asan check-tsan check-fuzz \
 	check-fuzz-long check-truth check-truth-long check-fits check-varying check-rings rings soak truth \
 	fuzz fuzz-merge bench
 
 check-programs: $(TESTS) $(addprefix $(BUILD)/,dipoled-counting wire-lists soak-load tests/bits tests/accuracy/truth)
 
 # What .ci/run runs after `make check`, and what else takes long. `make check-PART` runs one of them.
-CI_PARTS := bits-aarch64 soak-long tls-long pipeline packages deb
+CI_PARTS := bits-aarch64+tls-long pipeline soak-long services+fuzz packages deb
 NIGHTLY_PARTS := $(CI_PARTS) balancer-long+rings,truth-long plan figures fits+varying units-long fuzz-long blender
 check-ci: PARTS ?= $(CI_PARTS)
 check-nightly: PARTS ?= $(NIGHTLY_PARTS)
@@ -91,7 +91,7 @@ check-unit: $(TESTS) ## tests in C
 	@UNIT_LIMIT_S=$(UNIT_LIMIT_S) bash tests/run-units.sh $(BUILD)/logs $(TESTS)
 
 # Those that have a long form.
-LONG_TESTS := $(addprefix $(BUILD)/tests/,unit/test_kernels unit/test_inverter accuracy/test_anisotropic accuracy/test_derivative accuracy/test_montecarlo accuracy/test_transport_g accuracy/test_transport_solved accuracy/test_transport_table)
+LONG_TESTS := $(addprefix $(BUILD)/tests/,unit/test_kernels unit/test_inverter accuracy/test_anisotropic accuracy/test_derivative accuracy/test_fit_layers accuracy/test_lut accuracy/test_models accuracy/test_montecarlo accuracy/test_transport_g accuracy/test_transport_solved accuracy/test_transport_table)
 check-units-long: $(LONG_TESTS)
 	@UNIT_LONG=yes bash tests/run-units.sh $(BUILD)/logs-nightly $(LONG_TESTS)
 
@@ -103,8 +103,13 @@ check-bits-aarch64: $(BUILD)/tests/bits
 
 PYTEST = env TESTED_BUILD=$(abspath $(BUILD)) PYTHONPATH=clients/python:tests/e2e PYTHONDONTWRITEBYTECODE=1 $(PYTHON) -m pytest -q -rfEs -p no:cacheprovider
 
-# Those that parts of `make check-nightly` run.
-APART := $(addprefix tests/e2e/test_,packages.py figures.py plan.py)
+# Those that need much beside the programs: a browser, systemd, containers, HAProxy, masters of Modbus.
+SERVICES := $(addprefix tests/e2e/test_,balancer.py container.py install.py modbus_clients.py page.py robustness.py units.py)
+check-services: all ## clients and systems of others around the programs
+	$(PYTEST) -n 2 --dist loadfile --durations=20 $(SERVICES)
+
+# Those that parts of `make check-ci` and `make check-nightly` run.
+APART := $(SERVICES) $(addprefix tests/e2e/test_,packages.py pipeline.py figures.py plan.py)
 check-e2e: all $(BUILD)/dipoled-counting $(BUILD)/soak-load ## tests of the programs
 	$(PYTEST) -n 2 --dist loadfile --durations=20 $(APART:%=--ignore=%) tests/e2e
 

@@ -351,7 +351,12 @@ UNIT_TEST(ordinary_media_are_never_refused) {
     const core_medium media[] = {measured->channel[(m % 3 + 1) * layers - 1],
                                  {ratio / (1 + ratio), 1 / (1 + ratio), 0, etas[m / 4 % 4]}};
     for (size_t i = 0; i < 2; i++) {
+      const core_medium needed = unit_medium(core_models[m].id, &media[i]);
+      const core_parameters none = core_parameters_none();
       core_profile table;
+      if (!unit_is_long() && core_has_to_solve(core_models[m].id, &needed, &none)) {
+        continue;
+      }
       unit_assert_fault(table_prepare(&table, core_models[m].id, &media[i], i ? 1e-4 : 1e-6), NULL,
                         0);
       core_profile_free(&table);

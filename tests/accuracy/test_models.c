@@ -131,6 +131,7 @@ UNIT_TEST(better_dipole_returns_everything_without_absorption) {
 
 /* No model gives out more than went in without saying so. */
 UNIT_TEST(an_albedo_above_1_is_confessed) {
+  const core_parameters none = core_parameters_none();
   size_t above = 0;
   for (const core_choice *model = core_models; model->name != NULL; model++) {
     bool told = false; /* whether each evaluator of this model has told it once */
@@ -138,8 +139,8 @@ UNIT_TEST(an_albedo_above_1_is_confessed) {
       for (double eta = 0.5; eta < 2.5; eta += 0.25) {
         const core_medium some = medium_of_ratio(ratio, eta);
         const core_medium medium = unit_medium(model->id, &some);
-        if (model->id == CORE_MODEL_TRANSPORT_TRANSMITTED && eta > 0.5) {
-          break; /* Solutions of layers take a second each. */
+        if (!unit_is_long() && core_has_to_solve(model->id, &medium, &none)) {
+          continue;
         }
         core_profile profile;
         const core_fault fault =

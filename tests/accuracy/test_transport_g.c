@@ -452,7 +452,7 @@ UNIT_TEST(profiles_follow_the_table_at_its_edges) {
  * follows from it. */
 UNIT_TEST(the_stated_error_is_the_tables_whatever_the_tolerance) {
   const core_medium medium = {0.05, 9.5, 0.9, 1.4};
-  for (size_t i = 0; i < sizeof evaluators / sizeof evaluators[0]; i++) {
+  for (size_t i = 0; i < (unit_is_long() ? sizeof evaluators / sizeof evaluators[0] : 1); i++) {
     core_profile loose = prepare(&medium, evaluators[i], (double)NAN);
     core_profile tight = prepare(&medium, evaluators[i], 1e-6);
     assert_true(stated(&tight, CORE_QUANTITY_R, 1, 1) > 1e-5);

@@ -104,29 +104,25 @@ by g: the largest change for g +- .05, since the readings may not determine g
 ? 3
 
 ## Layers: what is found, what is undetermined, and what is refused.
-$ printf 'sample,r,R,error\ntwo,.3,.06261,.00062\ntwo,.5,.02737,.00028\ntwo,.8,.01292,.00013\ntwo,2,.002481,2.5e-5\ntwo,5,.000252,2.5e-6\nfew,1,.02,.001\nzero,1,.02,.001\nzero,2,.02,0\n' > two.csv; dipole fit two.csv --layer x,1,0,1.4,0.8 --layer x,1,0,1.4
+$ printf 'sample,r,R,error\ntwo,.3,.06261,.00062\ntwo,.5,.02737,.00028\ntwo,.8,.01292,.00013\ntwo,2,.002481,2.5e-5\ntwo,5,.000252,2.5e-6\nfew,1,.02,.001\nzero,1,.02,.001\nzero,2,.02,0\n' > two.csv; dipole fit two.csv --layer x,1,0,1.4,0.8 --layer .02,1,0,1.4
 model transport, moments exact, scale absolute
 
-sample  unknown       value     error   status   chi2  readings  numerical error  sample is
+sample  unknown       value     error        status    chi2  readings  numerical error     sample is
                    1/mm, mm  1/mm, mm
-------  ---------  --------  --------  -------  -----  --------  ---------------  ---------
-two     sigma_a_1    0.3017    0.0032   fitted  1.019         5          2.0e-03     fitted
-two     sigma_a_2  0.019379   0.00092   fitted  1.019         5          2.0e-03     fitted
-few     sigma_a_1         -       inf  refused      -         1                -    refused
-few     sigma_a_2         -       inf  refused      -         1                -    refused
-zero    sigma_a_1         -       inf  refused      -         2                -    refused
-zero    sigma_a_2         -       inf  refused      -         2                -    refused
+------  ---------  --------  --------  ------------  ------  --------  ---------------  ------------
+two     sigma_a_1   0.29992    0.0017        fitted   1.454         5          2.0e-03        fitted
+few     sigma_a_1         -       inf  undetermined  0.2066         1          1.1e-03  undetermined
+zero    sigma_a_1         -       inf       refused       -         2                -       refused
 
 errors are standard errors, inf where a value is not fitted; chi2 is the sum of the squares of (reading - fit) / error
-! dipole fit: sample few: bad-value: reading_count: allowed: as many as there are unknowns, to 1024
 ! dipole fit: sample zero: reading 2 (line 9): bad-value: errors: allowed: above 0, and finite
 ! dipole fit: two.csv: 2 of 3 samples were not fitted: see the column status
 ? 3
 
-$ printf 'r,R,error\n.2,.12,.01\n.3,.0626,.002\n' | dipole fit --layer x,1,0,1.4,0.8 --layer x,1,0,1.4 --format csv
+$ printf 'r,R,error\n2,.02,0\n' | dipole fit --layer x,1,0,1.4,0.8 --layer .02,1,0,1.4 --format csv
 sample,unknown,value,error,status,scale,scale_error,chi2,readings,numerical_error,sample_status
-1,sigma_a_1,0.235823276104923,0.10793056783121835,fitted,1,0,0.010692805376751017,2,0.0012082315263864977,undetermined
-1,sigma_a_2,,inf,undetermined,1,0,0.010692805376751017,2,0.0012082315263864977,undetermined
+1,sigma_a_1,,inf,refused,,,,1,,refused
+! dipole fit: sample 1: reading 1 (line 2): bad-value: errors: allowed: above 0, and finite
 ! dipole fit: standard input: 1 of 1 samples were not fitted: see the column status
 ? 3
 

@@ -282,7 +282,8 @@ def test_a_client_of_a_unix_socket_that_ends_its_side_gets_its_answer(daemon):
     """There the daemon sees whether the other side, too, has ended."""
     one = daemon()
     with one.connect() as connection:
-        connection.send_bytes(frame(EVAL, 77, payload("transport", SOLVED)))
+        slab = [(0.05, 1.0, 0.0, 1.3, 8.0)]  # solved in half a second
+        connection.send_bytes(frame(EVAL, 77, payload("transport", slab)))
         connection.socket.shutdown(socket.SHUT_WR)
         connection.timeout_s = 300
         while (reply := connection.receive_frame()).type == PING | wire.REPLY:  # at work

@@ -123,7 +123,7 @@ def test_a_slab_that_is_cut_lets_the_same_light_through(daemon):
     with Client(daemon("--workers", "1").url(), timeout_s=200) as client:
         whole, cut = (
             client.eval("transport", layers, R_MM, wanted=["R", "T"], evaluator="f64", tolerance=1e-3)
-            for layers in (Medium(*HALF_SPACE, 1.0), Stack(Medium(*HALF_SPACE, 0.3), Medium(*HALF_SPACE, 0.7)))
+            for layers in (Medium(*HALF_SPACE, 2.0), Stack(Medium(*HALF_SPACE, 0.6), Medium(*HALF_SPACE, 1.4)))
         )
         errors = cut.numerical_error(quantity="T") + whole.numerical_error(quantity="T")
         assert (abs(cut.T / whole.T - 1) <= errors).all() and (errors < 0.1).all()
@@ -133,13 +133,13 @@ def test_a_slab_that_is_cut_lets_the_same_light_through(daemon):
 
 def test_transmitted_light_is_drawn_and_gathered(daemon):
     """The model whose R is T has it in every message, by tables, too; half spaces have none."""
-    slab = Medium(*HALF_SPACE, 1.0)
+    slab = Medium(*HALF_SPACE, 2.0)
     with Client(daemon("--workers", "1").url(), timeout_s=200) as client:
         both = client.eval("transport", slab, R_MM, wanted=["T"], evaluator="f64")
         through = client.eval("transport-transmitted", slab, R_MM, wanted=["R", "cdf", "albedo"], evaluator="f64")
         assert (through.R == both.T).all()
         walked = client.mc(slab, Grid(0.0, 10.0, 11), photons=100000).energies[0].T
-        beam = np.exp(-1.5) * (1 - (0.3 / 2.3) ** 2)  # what has not scattered
+        beam = np.exp(-3.0) * (1 - (0.3 / 2.3) ** 2)  # what has not scattered
         assert abs(through.albedo[0] + beam - walked.value) <= 4 * walked.error
         drawn = client.sample("transport-transmitted", slab, through.cdf[0], evaluator="f64")
         np.testing.assert_allclose(drawn.r[0], R_MM, rtol=1e-9)
@@ -147,8 +147,8 @@ def test_transmitted_light_is_drawn_and_gathered(daemon):
         places = np.array([[r, 0.0, 0.0] for r in R_MM])
         sums = client.gather("transport-transmitted", slab, points, places, tolerance=0, evaluator="f64")
         np.testing.assert_allclose(sums.M[:, 0], both.T[0], rtol=1e-12)
-        table = client.table("transport-transmitted", slab, tolerance=1e-3)
-        np.testing.assert_allclose(table.R(R_MM), both.T[0], rtol=1e-3)
+        table = client.table("transport-transmitted", slab, tolerance=1e-2)
+        np.testing.assert_allclose(table.R(R_MM), both.T[0], rtol=1e-2)
         with pytest.raises(Refused) as refusal:
             client.eval("transport-transmitted", STACK, R_MM)
         assert (refusal.value.field, refusal.value.index) == ("thickness", 1)
