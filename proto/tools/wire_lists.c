@@ -188,12 +188,13 @@ static void put_scpi(void) {
   put_command(pattern, FORMS, parameters, about);
 #define SCPI_REGISTER(pattern, FORMS, member, most, about)                                         \
   put_command(pattern, FORMS, FORMS == BOTH ? "<n>" : "", about);
-#define SCPI_FIELD(pattern, member, structure, field, parameters, about)                           \
+#define SCPI_FIELDS(pattern, function, member, structure, parameters, about)                       \
   put_command(pattern, BOTH, parameters, about);
 #define SCPI_NUMBERS(pattern, FORMS, LIST, parameters, about)                                      \
   put_command(pattern, FORMS, parameters, about);
 #define SCPI_QUANTITY(pattern, QUANTITY, parameters, about)                                        \
   put_command(pattern, QUERY, parameters, about);
+#define SCPI_REPLY(pattern, TASK, part, structure, fields) put_command(pattern, QUERY, "", fields);
 #include "proto/scpi.def"
   print_form("0],");
 }

@@ -27,7 +27,7 @@ enum {
   HEADER_BYTES = 64, /* the longest header */
 };
 
-enum outcome { DONE, FAILED, WAITS };
+enum outcome { FAILED, DONE, WAITS }; /* FAILED is false, too */
 enum { SET = 1, QUERY = 2, BOTH = 3, TAKE = 4 | QUERY };
 
 /* A command of proto/scpi.def. */
@@ -36,14 +36,17 @@ struct scpi_command {
   unsigned forms;
   enum outcome (*carry_out)(struct scpi_session *s, const struct scpi_command *command,
                             struct scpi_unit *unit);
-  size_t number;                     /* an offset or a quantity, as the function takes it */
-  unsigned most;                     /* of a register */
-  const schema_structure *structure; /* of a field */
-  const char *field;
+  size_t number;                     /* an offset, a quantity or a part, as the function takes it */
+  unsigned most;                     /* of a register; or a task */
+  const schema_structure *structure; /* that has the fields which `parameters` names */
   const char *parameters;
 };
 
 #define FIELDS_OF(name) (&schema_structures[SCHEMA_STRUCTURE_##name])
+#define COMMAND(name)                                                                              \
+  static enum outcome name(struct scpi_session *s, const struct scpi_command *command,             \
+                           struct scpi_unit *unit)
+#define UNUSED (void)s, (void)command, (void)unit
 
 static enum outcome fail_with(struct scpi_session *s, int number, const char *field,
                               const char *allowed) {
@@ -51,16 +54,19 @@ static enum outcome fail_with(struct scpi_session *s, int number, const char *fi
   return FAILED;
 }
 
-static enum outcome refuse_with(struct scpi_session *s, wire_error error) {
-  scpi_status_refuse(&s->status, &error);
-  return FAILED;
+/* Returns whether there is no error; else notes it. */
+static bool is_good(struct scpi_session *s, wire_error error) {
+  if (error.status != WIRE_STATUS_OK) {
+    scpi_status_refuse(&s->status, &error);
+  }
+  return error.status == WIRE_STATUS_OK;
 }
 
 /* ---- answers --------------------------------------------------------------------------------- */
 
-/* Begins the answer of a unit with a text. */
-static enum outcome answer_text(struct scpi_session *s, const char *text) {
-  http_text_add(&s->answers, ";", s->answers.count > 0);
+/* Adds a text: the answer of a unit, or its next value. */
+static enum outcome add_answer(struct scpi_session *s, char separator, const char *text) {
+  http_text_add(&s->answers, &separator, s->answers.count > 0);
   http_text_add(&s->answers, text, strlen(text));
   return DONE;
 }
@@ -68,7 +74,7 @@ static enum outcome answer_text(struct scpi_session *s, const char *text) {
 static enum outcome answer_integer(struct scpi_session *s, uint64_t value) {
   char text[24];
   snprintf(text, sizeof text, "%llu", (unsigned long long)value);
-  return answer_text(s, text);
+  return add_answer(s, ';', text);
 }
 
 /* Writes the shortest decimal with the same bits; what is no number as SCPI has it. */
@@ -93,9 +99,9 @@ static double value_at(const uint8_t *values, size_t index, bool single) {
   return value;
 }
 
-static enum outcome answer_decimals(struct scpi_session *s, const uint8_t *values, size_t count,
+static enum outcome answer_decimals(struct scpi_session *s, const void *values, size_t count,
                                     bool single) {
-  answer_text(s, count > 0 ? "" : "\"\"");
+  add_answer(s, ';', count > 0 ? "" : "\"\"");
   for (size_t i = 0; i < count; i++) {
     char text[DECIMAL_BYTES + 1] = ",";
     const size_t bytes = put_decimal(value_at(values, i, single), single, text + 1);
@@ -104,7 +110,7 @@ static enum outcome answer_decimals(struct scpi_session *s, const uint8_t *value
   return DONE;
 }
 
-/* Returns whether bytes of numbers in blocks have to be reversed: this machine is little-endian. */
+/* Makes a number of this machine, which is little-endian, big-endian, or the other way round. */
 static void reverse_bytes(uint8_t *at, size_t bytes) {
   for (size_t i = 0; i < bytes / 2; i++) {
     const uint8_t byte = at[i];
@@ -127,7 +133,7 @@ static enum outcome answer_values(struct scpi_session *s, const void *values, si
   const size_t each = format_bytes(s);
   const int digits = snprintf(head, sizeof head, "%zu", count * each);
   snprintf(head, sizeof head, "#%d%zu", digits, count * each);
-  answer_text(s, head);
+  add_answer(s, ';', head);
   uint8_t *to = (uint8_t *)http_text_room(&s->answers, count * each);
   for (size_t i = 0; to != NULL && i < count; i++, to += each) {
     const double value = value_at(values, i, single);
@@ -148,7 +154,7 @@ static bool take_parameter(struct scpi_session *s, struct scpi_unit *unit,
                            struct scpi_parameter *parameter) {
   int error = scpi_next_parameter(unit, parameter);
   error = error == 0 && parameter->kind == SCPI_NOTHING ? MISSING : error;
-  return error == 0 || fail_with(s, error, NULL, NULL) == DONE;
+  return error == 0 || fail_with(s, error, NULL, NULL);
 }
 
 /* Returns whether all parameters have been taken. */
@@ -156,7 +162,7 @@ static bool took_all(struct scpi_session *s, struct scpi_unit *unit) {
   struct scpi_parameter parameter;
   const int error = scpi_next_parameter(unit, &parameter);
   return (error == 0 && parameter.kind == SCPI_NOTHING) ||
-         fail_with(s, error != 0 ? error : NOT_ALLOWED, NULL, NULL) == DONE;
+         fail_with(s, error != 0 ? error : NOT_ALLOWED, NULL, NULL);
 }
 
 static bool is_word(const struct scpi_parameter *parameter, const char *word) {
@@ -164,50 +170,53 @@ static bool is_word(const struct scpi_parameter *parameter, const char *word) {
          scpi_is_word(parameter->text, parameter->bytes, word, strlen(word));
 }
 
-/* Reads a number. field: says what MIN, MAX and DEF are; NULL: there are none. */
-static bool read_number(struct scpi_session *s, const struct scpi_parameter *parameter,
-                        const schema_field *field, double *value) {
-  const bool ranged = field != NULL && (field->spans || field->ranged);
-  if (parameter->kind != SCPI_WORD) {
-    const int error = scpi_read_decimal(parameter, value);
-    return error == 0 || fail_with(s, error, NULL, NULL) == DONE;
+/* Takes one of some words. Returns its position, or -1. */
+static int take_word(struct scpi_session *s, struct scpi_unit *unit, const char *const words[],
+                     const char *field, const char *allowed) {
+  struct scpi_parameter parameter;
+  if (!take_parameter(s, unit, &parameter)) {
+    return -1;
   }
-  if (is_word(parameter, "INFinity") || is_word(parameter, "NINFinity")) {
-    *value = parameter->bytes > 0 && (parameter->text[0] | 32) == 'n' ? -INFINITY : INFINITY;
-  } else if (is_word(parameter, "NAN")) {
-    *value = NAN;
-  } else if (field != NULL && is_word(parameter, "DEFault")) {
-    *value = field->usual;
-  } else if (ranged && is_word(parameter, "MINimum")) {
-    *value = field->least;
-  } else if (ranged && is_word(parameter, "MAXimum")) {
-    *value = field->most;
-  } else {
-    return fail_with(s, BAD_TYPE, NULL, NULL) == DONE;
+  for (int i = 0; words[i] != NULL; i++) {
+    if (is_word(&parameter, words[i])) {
+      return i;
+    }
   }
-  return true;
+  fail_with(s, BAD_VALUE, field, allowed);
+  return -1;
 }
 
-static bool take_number(struct scpi_session *s, struct scpi_unit *unit, const schema_field *field,
-                        double *value) {
-  struct scpi_parameter parameter;
-  return take_parameter(s, unit, &parameter) && read_number(s, &parameter, field, value);
+/* Reads a number. field: says what MIN and MAX are; NULL: there are none. */
+static bool read_number(struct scpi_session *s, const struct scpi_parameter *parameter,
+                        const schema_field *field, double *value) {
+  static const char *const words[] = {"INFinity", "NINFinity", "NAN", "MINimum", "MAXimum"};
+  const bool ranged = field != NULL && (field->spans || field->ranged);
+  const double values[] = {INFINITY, -INFINITY, NAN, ranged ? field->least : 0,
+                           ranged ? field->most : 0};
+  for (int i = 0; i < (ranged ? 5 : 3); i++) {
+    if (is_word(parameter, words[i])) {
+      *value = values[i];
+      return true;
+    }
+  }
+  const int error = scpi_read_decimal(parameter, value);
+  return error == 0 || fail_with(s, error, NULL, NULL);
 }
 
 /* Takes an integer that is the only parameter. */
 static bool take_integer(struct scpi_session *s, struct scpi_unit *unit, const char *field,
                          unsigned least, unsigned most, unsigned *value) {
+  struct scpi_parameter parameter;
   double number;
   char allowed[48];
-  if (!take_number(s, unit, NULL, &number) || !took_all(s, unit)) {
+  if (!take_parameter(s, unit, &parameter) || !read_number(s, &parameter, NULL, &number) ||
+      !took_all(s, unit)) {
     return false;
   }
-  if (number >= least && number <= most && number == floor(number)) {
-    *value = (unsigned)number;
-    return true;
-  }
   snprintf(allowed, sizeof allowed, "an integer from %u to %u", least, most);
-  return fail_with(s, OUT_OF_RANGE, field, allowed) == DONE;
+  const bool good = number >= least && number <= most && number == floor(number);
+  *value = good ? (unsigned)number : 0;
+  return good || fail_with(s, OUT_OF_RANGE, field, allowed);
 }
 
 /* Adds the numbers of a block. */
@@ -215,8 +224,7 @@ static bool add_block(struct scpi_session *s, const struct scpi_parameter *block
                       struct http_text *to) {
   const size_t each = format_bytes(s);
   if (s->settings.format == SCPI_ASCII || block->bytes % each != 0) {
-    return fail_with(s, BAD_BLOCK, "FORMat", "REAL,32 or REAL,64, as the numbers of the block") ==
-           DONE;
+    return fail_with(s, BAD_BLOCK, "FORMat", "REAL,32 or REAL,64, as the numbers of the block");
   }
   for (size_t at = 0; at < block->bytes; at += each) {
     uint8_t bytes[sizeof(double)];
@@ -245,19 +253,188 @@ static bool take_list(struct scpi_session *s, struct scpi_unit *unit) {
       http_text_add(list, (const char *)&value, sizeof value);
     }
   } while (good && unit->more);
-  return good && (!list->failed || fail_with(s, NO_MEMORY, NULL, NULL) == DONE);
+  return good && (!list->failed || fail_with(s, NO_MEMORY, NULL, NULL));
 }
 
 static size_t length_of(const struct scpi_session *s, enum scpi_list list) {
   return s->lists[list].count / sizeof(double);
 }
 
-/* ---- IEEE 488.2 and the status --------------------------------------------------------------- */
+/* ---- fields ---------------------------------------------------------------------------------- */
 
-#define COMMAND(name)                                                                              \
-  static enum outcome name(struct scpi_session *s, const struct scpi_command *command,             \
-                           struct scpi_unit *unit)
-#define UNUSED (void)command, (void)unit
+/* Returns a structure's field by its name, and sets *at to its offset. */
+static const schema_field *field_named(const schema_structure *structure, const char *name,
+                                       size_t bytes, size_t *at) {
+  const schema_field *field = structure->fields;
+  *at = 0;
+  while (strncmp(field->name, name, bytes) != 0 || field->name[bytes] != '\0') {
+    *at += schema_field_bytes(field++);
+  }
+  return field;
+}
+
+/* Returns the next field that a command's parameters name, as in <g>,<eta>[,<thickness>], or NULL.
+ * *next: where they go on. */
+static const schema_field *next_field(const struct scpi_command *command, const char **next,
+                                      size_t *at) {
+  const char *name = strchr(*next, '<');
+  if (name == NULL) {
+    return NULL;
+  }
+  const size_t bytes = strcspn(++name, ">");
+  *next = name + bytes;
+  return field_named(command->structure, name, bytes, at);
+}
+
+/* Reads an entry of a list by its name, in its long or short form, or its id. */
+static bool read_choice(struct scpi_session *s, const struct scpi_parameter *parameter,
+                        const schema_field *field, double *id) {
+  if (parameter->kind == SCPI_DECIMAL) {
+    return read_number(s, parameter, field, id);
+  }
+  *id = 0;
+  for (const core_choice *one = field->list; one->name != NULL; one++) {
+    /* four letters, or three if the fourth is a vowel */
+    const size_t capitals = strlen(one->name) > 3 && strchr("aeiou", one->name[3]) != NULL ? 3 : 4;
+    if (strncasecmp(parameter->text, one->name, parameter->bytes) == 0 &&
+        (parameter->bytes == strlen(one->name) || parameter->bytes == capitals)) {
+      *id = one->id;
+    }
+  }
+  return *id > 0 || (field->or_zero && is_word(parameter, "AUTO")) ||
+         fail_with(s, BAD_VALUE, field->name, "a name that `dipole` lists, or its id");
+}
+
+/* Writes the number of a field as its kind has it. Returns false if it does not fit. */
+static bool put_number(const schema_field *field, double value, void *at) {
+  const size_t bytes = schema_field_bytes(field);
+  const bool real = field->kind == SCHEMA_f64;
+  const double end = bytes < 8 ? ldexp(1, 8 * (int)bytes) : 0x1p53; /* then not all are doubles */
+  const bool fits = value >= 0 && value == floor(value) && value < end;
+  const uint64_t integer = fits && !real ? (uint64_t)value : 0;
+  memcpy(at, real ? (const void *)&value : (const void *)&integer, bytes);
+  return fits || real;
+}
+
+static double number_at(const schema_field *field, const uint8_t *at) {
+  uint64_t integer = 0;
+  double real;
+  memcpy(&integer, at, schema_field_bytes(field));
+  memcpy(&real, &integer, sizeof real);
+  return field->kind == SCHEMA_f64 ? real : (double)integer;
+}
+
+/* Takes the value of a field. usual: what DEF stands for. */
+static bool take_field(struct scpi_session *s, struct scpi_unit *unit, const schema_field *field,
+                       const uint8_t *usual, uint8_t *at) {
+  struct scpi_parameter parameter;
+  double value;
+  uint64_t bits = 0;
+  if (!take_parameter(s, unit, &parameter)) {
+    return false;
+  }
+  if (is_word(&parameter, "DEFault")) {
+    value = number_at(field, usual);
+  } else if (!(field->list != NULL ? read_choice(s, &parameter, field, &value)
+                                   : read_number(s, &parameter, field, &value))) {
+    return false;
+  }
+  if (!put_number(field, value, &bits)) {
+    return fail_with(s, OUT_OF_RANGE, field->name,
+                     "an integer from 0 on, below 2^53 and as large as the field");
+  }
+  memcpy(at, &bits, schema_field_bytes(field));
+  return is_good(s, schema_check_value(field, bits));
+}
+
+/* Answers with a field; a comma stands before those that are not the first of a unit. */
+static void answer_field(struct scpi_session *s, const schema_field *field, const uint8_t *at,
+                         bool first) {
+  const double value = number_at(field, at);
+  const core_choice *one =
+      field->list != NULL ? core_choice_by_id(field->list, (unsigned)value) : NULL;
+  char text[DECIMAL_BYTES];
+  if (field->kind == SCHEMA_f64) {
+    put_decimal(value, false, text);
+  } else {
+    snprintf(text, sizeof text, "%.0f", value);
+  }
+  add_answer(s, first ? ';' : ',', field->list == NULL ? text : one != NULL ? one->name : "AUTO");
+}
+
+static void set_defaults(struct scpi_settings *to);
+
+/* Sets or tells the fields of a structure in the settings. All are set, or none. */
+static enum outcome use_structure(struct scpi_session *s, const struct scpi_command *command,
+                                  struct scpi_unit *unit, void *structure) {
+  struct scpi_settings usual;
+  uint8_t copy[sizeof(wire_mc_request)];
+  const char *next = command->parameters;
+  const size_t bytes = command->structure->bytes;
+  const schema_field *field;
+  bool optional = false;
+  size_t at;
+  set_defaults(&usual);
+  const uint8_t *from = (uint8_t *)&usual + ((uint8_t *)structure - (uint8_t *)&s->settings);
+  memcpy(copy, structure, bytes);
+  for (bool first = true; (field = next_field(command, &next, &at)) != NULL; first = false) {
+    if (unit->query) {
+      answer_field(s, field, copy + at, first);
+    } else if (optional && !unit->more) {
+      memcpy(copy + at, from + at, schema_field_bytes(field));
+    } else if (!take_field(s, unit, field, from + at, copy + at)) {
+      return FAILED;
+    }
+    optional = next[1] == '[';
+  }
+  if (!unit->query && !took_all(s, unit)) {
+    return FAILED;
+  }
+  memcpy(structure, copy, bytes);
+  return DONE;
+}
+
+COMMAND(use_fields) {
+  return use_structure(s, command, unit, (uint8_t *)&s->settings + command->number);
+}
+
+/* Sets a structure of a request to the defaults of messages.def. */
+static void set_usual(const schema_structure *structure, void *to) {
+  uint8_t *at = to;
+  for (const schema_field *field = structure->fields; field->name != NULL; field++) {
+    put_number(field, field->usual, at);
+    at += schema_field_bytes(field);
+  }
+}
+
+_Static_assert(sizeof(wire_eval_request) == WIRE_BYTES_eval_request &&
+                   sizeof(fit_start) == WIRE_BYTES_fit_request + WIRE_BYTES_fit_design &&
+                   sizeof(wire_mc_request) == WIRE_BYTES_mc_request &&
+                   sizeof(wire_tissue_request) == WIRE_BYTES_tissue_request &&
+                   sizeof(wire_medium) == sizeof(core_medium),
+               "requests lie in memory as on the wire");
+
+static void set_defaults(struct scpi_settings *to) {
+  *to = (struct scpi_settings){.tolerance = NAN};
+  set_usual(FIELDS_OF(eval_request), &to->eval);
+  set_usual(FIELDS_OF(fit_request), &to->fit.request);
+  set_usual(FIELDS_OF(fit_design), &to->fit.design);
+  set_usual(FIELDS_OF(mc_request), &to->mc);
+  set_usual(FIELDS_OF(tissue_request), &to->tissue);
+  to->eval.evaluator = CORE_EVALUATOR_LUT;
+  to->eval.medium_count = 1;
+  to->fit.request.set_count = 1;
+  to->mc.spacing = CORE_SPACING_LINEAR;
+  to->mc.radius_stop = 10;
+  to->mc.ring_count = 50;
+  to->mc.photons = 1000000;
+  to->tissue.wavelength_count = 1;
+  for (int i = 0; i < CORE_PROPERTIES_END; i++) {
+    to->properties[i] = NAN;
+  }
+}
+
+/* ---- IEEE 488.2 and the status --------------------------------------------------------------- */
 
 COMMAND(clear_status) {
   UNUSED;
@@ -288,11 +465,6 @@ COMMAND(use_register) {
   return DONE;
 }
 
-COMMAND(tell_identity) {
-  UNUSED;
-  return answer_text(s, "dipoled,dipoled,0," DIPOLED_VERSION);
-}
-
 COMMAND(note_completion) {
   UNUSED;
   s->completes = scpi_session_measures(s);
@@ -301,37 +473,10 @@ COMMAND(note_completion) {
 }
 
 COMMAND(wait_for_jobs) {
-  (void)unit;
+  UNUSED;
   s->held = scpi_session_measures(s);
-  return s->held ? WAITS : command->number == 1 ? answer_text(s, "1") : DONE;
+  return s->held ? WAITS : unit->query ? add_answer(s, ';', "1") : DONE;
 }
-
-COMMAND(tell_status_byte) {
-  UNUSED;
-  return answer_integer(s, scpi_status_byte(&s->status, s->answers.count > 0));
-}
-
-COMMAND(tell_health) {
-  UNUSED;
-  return answer_text(s, health_of(s->server) == HEALTH_OK ? "0" : "1");
-}
-
-COMMAND(tell_error) {
-  UNUSED;
-  return answer_text(s, scpi_status_take(&s->status));
-}
-
-COMMAND(tell_error_count) {
-  UNUSED;
-  return answer_integer(s, s->status.count);
-}
-
-COMMAND(tell_version) {
-  UNUSED;
-  return answer_text(s, "1999.0");
-}
-
-static void set_defaults(struct scpi_settings *to);
 
 COMMAND(reset_settings) {
   UNUSED;
@@ -347,91 +492,29 @@ COMMAND(reset_settings) {
   return DONE;
 }
 
+enum { IDENTITY, ERROR, VERSION, STATUS_BYTE, HEALTH, ERROR_COUNT };
+
+COMMAND(tell) {
+  (void)unit;
+  switch (command->number) {
+  case IDENTITY:
+    return add_answer(s, ';', "dipoled,dipoled,0," DIPOLED_VERSION);
+  case ERROR:
+    return add_answer(s, ';', scpi_status_take(&s->status));
+  case VERSION:
+    return add_answer(s, ';', "1999.0");
+  case STATUS_BYTE:
+    return answer_integer(s, scpi_status_byte(&s->status, s->answers.count > 0));
+  case HEALTH:
+    return answer_integer(s, health_of(s->server) != HEALTH_OK);
+  default:
+    return answer_integer(s, s->status.count);
+  }
+}
+
 COMMAND(tell_headers);
 
 /* ---- settings -------------------------------------------------------------------------------- */
-
-static const schema_field *field_named(const schema_structure *structure, const char *name) {
-  const schema_field *field = structure->fields;
-  while (strcmp(field->name, name) != 0) {
-    field++;
-  }
-  return field;
-}
-
-/* Reads an entry of a list by its name, in its long or short form, or its id. */
-static bool read_choice(struct scpi_session *s, const struct scpi_parameter *parameter,
-                        const schema_field *field, double *id) {
-  if (parameter->kind == SCPI_DECIMAL) {
-    return read_number(s, parameter, field, id);
-  }
-  if (field->or_zero && is_word(parameter, "AUTO")) {
-    *id = 0;
-    return true;
-  }
-  for (const core_choice *one = field->list; one->name != NULL; one++) {
-    /* four letters, or three if the fourth is a vowel */
-    const size_t capitals = strlen(one->name) > 3 && strchr("aeiou", one->name[3]) != NULL ? 3 : 4;
-    if (strncasecmp(parameter->text, one->name, parameter->bytes) == 0 &&
-        (parameter->bytes == strlen(one->name) || parameter->bytes == capitals)) {
-      *id = one->id;
-      return true;
-    }
-  }
-  return fail_with(s, BAD_VALUE, field->name, "a name that `dipole` lists, or its id") == DONE;
-}
-
-/* Writes the number of a field as its kind has it. Returns false if it does not fit. */
-static bool put_bits(const schema_field *field, double value, uint64_t *bits) {
-  const size_t bytes = schema_field_bytes(field);
-  if (field->kind == SCHEMA_f64) {
-    memcpy(bits, &value, sizeof value);
-    return true;
-  }
-  const bool fits = value >= 0 && value == floor(value) && value < ldexp(1, 8 * (int)bytes);
-  *bits = fits ? (uint64_t)value : 0;
-  return fits;
-}
-
-COMMAND(use_field) {
-  const schema_field *field = field_named(command->structure, command->field);
-  uint8_t *at = (uint8_t *)&s->settings + command->number;
-  const size_t bytes = schema_field_bytes(field);
-  uint64_t bits = 0;
-  double value;
-  if (unit->query) {
-    memcpy(&bits, at, bytes);
-    if (field->list != NULL) {
-      const core_choice *one = core_choice_by_id(field->list, (unsigned)bits);
-      return answer_text(s, one != NULL ? one->name : "AUTO");
-    }
-    memcpy(&value, &bits, sizeof value);
-    return field->kind == SCHEMA_f64 ? answer_decimals(s, (const uint8_t *)&value, 1, false)
-                                     : answer_integer(s, bits);
-  }
-  struct scpi_parameter parameter;
-  if (take_parameter(s, unit, &parameter) && is_word(&parameter, "DEFault")) {
-    struct scpi_settings usual;
-    set_defaults(&usual);
-    memcpy(at, (uint8_t *)&usual + command->number, bytes);
-    return took_all(s, unit) ? DONE : FAILED;
-  }
-  if (parameter.kind == SCPI_NOTHING ||
-      !(field->list != NULL ? read_choice(s, &parameter, field, &value)
-                            : read_number(s, &parameter, field, &value)) ||
-      !took_all(s, unit)) {
-    return FAILED;
-  }
-  if (!put_bits(field, value, &bits)) {
-    return fail_with(s, OUT_OF_RANGE, field->name, "an integer from 0 on, as large as the field");
-  }
-  const wire_error error = schema_check_value(field, bits);
-  if (error.status != WIRE_STATUS_OK) {
-    return refuse_with(s, error);
-  }
-  memcpy(at, &bits, bytes);
-  return DONE;
-}
 
 COMMAND(use_numbers) {
   struct http_text *list = &s->lists[command->number], *given = &s->lists[SCPI_GIVEN];
@@ -447,43 +530,26 @@ COMMAND(use_numbers) {
   return DONE;
 }
 
-_Static_assert(sizeof(wire_medium) == sizeof(core_medium), "core checks what is sent");
-
-/* Takes four coefficients, and a thickness if there is one. */
-static bool take_medium(struct scpi_session *s, struct scpi_unit *unit, wire_medium *medium) {
-  double *const to[] = {&medium->sigma_a, &medium->sigma_s, &medium->g, &medium->eta,
-                        &medium->thickness};
-  medium->thickness = 0;
-  for (int i = 0; i < 4 || (i < 5 && unit->more); i++) {
-    if (!take_number(s, unit, &FIELDS_OF(medium)->fields[i], to[i])) {
-      return false;
-    }
-  }
-  const wire_error error = job_error(core_medium_check((const core_medium *)(const void *)medium));
-  return took_all(s, unit) && (error.status == WIRE_STATUS_OK || refuse_with(s, error) == DONE);
-}
-
-static enum outcome answer_medium(struct scpi_session *s, const wire_medium *medium) {
-  return answer_decimals(s, (const uint8_t *)medium, medium->thickness > 0 ? 5 : 4, false);
-}
-
 COMMAND(use_medium) {
-  const unsigned most = s->settings.layer_count + !unit->query;
-  const unsigned layer = command->number == 0 ? 1 : unit->number;
-  wire_medium medium;
-  if (layer < 1 || layer > most || layer > CORE_LAYERS_MAX) {
+  struct scpi_settings *settings = &s->settings;
+  const bool listed = strchr(command->pattern, '<') != NULL; /* as LAYer<n> */
+  const unsigned layer = listed ? unit->number : 1;
+  wire_medium *medium = &settings->layers[layer - 1];
+  if (layer < 1 || layer > settings->layer_count + !unit->query || layer > CORE_LAYERS_MAX) {
     return fail_with(s, CONFLICT, "MEDium", "a layer that there is, or the next one, up to 8");
   }
-  if (unit->query) {
-    return answer_medium(s, &s->settings.layers[layer - 1]);
+  const wire_medium before = *medium;
+  if (!use_structure(s, command, unit, medium) || unit->query) {
+    return unit->query ? DONE : FAILED;
   }
-  if (!take_medium(s, unit, &medium)) {
+  if (!is_good(s, job_error(core_medium_check((const core_medium *)(const void *)medium)))) {
+    *medium = before;
     return FAILED;
   }
-  s->settings.named = NULL;
-  s->settings.layers[layer - 1] = medium;
-  s->settings.layer_count =
-      command->number == 0 || layer > s->settings.layer_count ? layer : s->settings.layer_count;
+  settings->named = NULL;
+  if (!listed || layer > settings->layer_count) {
+    settings->layer_count = layer;
+  }
   return DONE;
 }
 
@@ -503,11 +569,7 @@ COMMAND(use_named_medium) {
   size_t count;
   (void)command;
   if (unit->query) {
-    answer_text(s, "\"");
-    const char *name = s->settings.named != NULL ? s->settings.named->name : "";
-    http_text_add(&s->answers, name, strlen(name));
-    http_text_add(&s->answers, "\"", 1);
-    return DONE;
+    return add_answer(s, ';', s->settings.named != NULL ? s->settings.named->name : "\"\"");
   }
   if (!take_parameter(s, unit, &parameter) || !took_all(s, unit)) {
     return FAILED;
@@ -541,96 +603,52 @@ COMMAND(use_tolerance) {
   double value = NAN;
   (void)command;
   if (unit->query) {
-    return isnan(s->settings.tolerance)
-               ? answer_text(s, "OFF")
-               : answer_decimals(s, (const uint8_t *)&s->settings.tolerance, 1, false);
+    return isnan(s->settings.tolerance) ? add_answer(s, ';', "OFF")
+                                        : answer_decimals(s, &s->settings.tolerance, 1, false);
   }
-  if (!take_parameter(s, unit, &parameter) || !took_all(s, unit)) {
+  if (!take_parameter(s, unit, &parameter) || !took_all(s, unit) ||
+      (!is_word(&parameter, "OFF") &&
+       (!read_number(s, &parameter, NULL, &value) ||
+        !is_good(s, job_error(core_parameter_check(CORE_PARAMETER_TOLERANCE, value)))))) {
     return FAILED;
-  }
-  if (!is_word(&parameter, "OFF")) {
-    if (!read_number(s, &parameter, NULL, &value)) {
-      return FAILED;
-    }
-    const wire_error error = job_error(core_parameter_check(CORE_PARAMETER_TOLERANCE, value));
-    if (error.status != WIRE_STATUS_OK) {
-      return refuse_with(s, error);
-    }
   }
   s->settings.tolerance = value;
   return DONE;
 }
 
 COMMAND(use_format) {
-  static const char *const names[] = {"ASC", "REAL,32", "REAL,64"};
-  struct scpi_parameter parameter;
+  static const char *const told[] = {"ASC", "REAL,32", "REAL,64"};
+  static const char *const words[] = {"ASCii", "REAL", NULL};
+  static const char allowed[] = "ASCii, REAL,32 or REAL,64";
   unsigned bits = 64;
   (void)command;
   if (unit->query) {
-    return answer_text(s, names[s->settings.format]);
+    return add_answer(s, ';', told[s->settings.format]);
   }
-  if (!take_parameter(s, unit, &parameter)) {
-    return FAILED;
-  }
-  const bool real = is_word(&parameter, "REAL");
-  if (!real && !is_word(&parameter, "ASCii")) {
-    return fail_with(s, BAD_VALUE, "FORMat", "ASCii, REAL,32 or REAL,64");
-  }
-  if (real && unit->more ? !take_integer(s, unit, "FORMat", 32, 64, &bits) : !took_all(s, unit)) {
+  const int word = take_word(s, unit, words, "FORMat", allowed);
+  if (word < 0 || (word == 1 && unit->more && !take_integer(s, unit, "FORMat", 32, 64, &bits)) ||
+      !took_all(s, unit)) {
     return FAILED;
   }
   if (bits != 32 && bits != 64) {
-    return fail_with(s, BAD_VALUE, "FORMat", "REAL,32 or REAL,64");
+    return fail_with(s, BAD_VALUE, "FORMat", allowed);
   }
-  s->settings.format = !real ? SCPI_ASCII : bits == 32 ? SCPI_REAL_32 : SCPI_REAL_64;
+  s->settings.format = word == 0 ? SCPI_ASCII : bits == 32 ? SCPI_REAL_32 : SCPI_REAL_64;
   return DONE;
 }
 
 COMMAND(use_byte_order) {
-  struct scpi_parameter parameter;
+  static const char *const words[] = {"NORMal", "SWAPped", NULL};
   (void)command;
   if (unit->query) {
-    return answer_text(s, s->settings.swapped ? "SWAP" : "NORM");
+    return add_answer(s, ';', s->settings.swapped ? "SWAP" : "NORM");
   }
-  if (!take_parameter(s, unit, &parameter) || !took_all(s, unit)) {
+  const int word = take_word(s, unit, words, "FORMat:BORDer", "NORMal or SWAPped");
+  if (word < 0 || !took_all(s, unit)) {
     return FAILED;
   }
-  if (!is_word(&parameter, "SWAPped") && !is_word(&parameter, "NORMal")) {
-    return fail_with(s, BAD_VALUE, "FORMat:BORDer", "NORMal or SWAPped");
-  }
-  s->settings.swapped = is_word(&parameter, "SWAPped");
+  s->settings.swapped = word == 1;
   return DONE;
-}
-
-/* Sets a structure of a request to the defaults of messages.def. */
-static void set_usual(const schema_structure *structure, void *to) {
-  uint8_t *at = to;
-  for (const schema_field *field = structure->fields; field->name != NULL; field++) {
-    uint64_t bits = 0;
-    put_bits(field, field->usual, &bits);
-    memcpy(at, &bits, schema_field_bytes(field));
-    at += schema_field_bytes(field);
-  }
-}
-
-_Static_assert(sizeof(wire_eval_request) == WIRE_BYTES_eval_request &&
-                   sizeof(fit_start) == WIRE_BYTES_fit_request + WIRE_BYTES_fit_design &&
-                   sizeof(wire_mc_request) == WIRE_BYTES_mc_request,
-               "requests lie in memory as on the wire");
-
-static void set_defaults(struct scpi_settings *to) {
-  *to = (struct scpi_settings){.tolerance = NAN};
-  set_usual(FIELDS_OF(eval_request), &to->eval);
-  set_usual(FIELDS_OF(fit_request), &to->fit.request);
-  set_usual(FIELDS_OF(fit_design), &to->fit.design);
-  set_usual(FIELDS_OF(mc_request), &to->mc);
-  to->eval.evaluator = CORE_EVALUATOR_LUT;
-  to->eval.medium_count = 1;
-  to->fit.request.set_count = 1;
-  to->mc.spacing = CORE_SPACING_LINEAR;
-  to->mc.radius_stop = 10;
-  to->mc.ring_count = 50;
-  to->mc.photons = 1000000;
 }
 
 /* ---- evals ----------------------------------------------------------------------------------- */
@@ -654,16 +672,29 @@ static uint8_t *begin_payload(struct scpi_session *s, enum scpi_task_index index
   return bytes;
 }
 
+static bool has_medium(struct scpi_session *s) {
+  return s->settings.layer_count > 0 ||
+         fail_with(s, CONFLICT, "MEDium", "a medium, which has no default");
+}
+
+/* Starts a job for which the unit waits. */
+static enum outcome wait_for(struct scpi_session *s, const struct scpi_command *command,
+                             enum wire_type type) {
+  s->waits_for = command;
+  scpi_task_start(&s->tasks[SCPI_EVAL], type);
+  return WAITS;
+}
+
 static enum outcome start_eval(struct scpi_session *s, const struct scpi_command *command,
                                const struct http_text *places) {
   core_parameters parameters = core_parameters_none();
   wire_eval_request start = s->settings.eval;
   schema_layout layout;
-  if (s->settings.layer_count == 0) {
-    return fail_with(s, CONFLICT, "MEDium", "a medium, which has no default");
+  if (!has_medium(s)) {
+    return FAILED;
   }
   parameters.value[CORE_PARAMETER_TOLERANCE] = s->settings.tolerance;
-  start.wanted = (uint16_t)(command->number | CORE_QUANTITY_MODEL_ERROR);
+  start.wanted = (uint32_t)command->number | CORE_QUANTITY_MODEL_ERROR;
   start.layer_count = s->settings.layer_count;
   start.parameter_count = (uint16_t)schema_count_parameters(&parameters);
   start.radius_count = places != NULL ? places->count / sizeof(double) : 0;
@@ -680,9 +711,7 @@ static enum outcome start_eval(struct scpi_session *s, const struct scpi_command
     memcpy(payload + layout.parts[EVAL_RADII].at + i * each,
            each == sizeof narrow ? (const void *)&narrow : (const void *)&place, each);
   }
-  s->waits_for = command;
-  scpi_task_start(&s->tasks[SCPI_EVAL], WIRE_TYPE_EVAL);
-  return WAITS;
+  return wait_for(s, command, WIRE_TYPE_EVAL);
 }
 
 COMMAND(ask_quantity) {
@@ -717,7 +746,77 @@ static void answer_eval(struct scpi_session *s, const struct scpi_command *comma
 
 COMMAND(tell_eval_errors) {
   UNUSED;
-  return answer_decimals(s, (const uint8_t *)&s->errors, 3, false);
+  return answer_decimals(s, &s->errors, 3, false);
+}
+
+/* ---- tissue ---------------------------------------------------------------------------------- */
+
+COMMAND(use_property) {
+  struct scpi_parameter parameter;
+  double value = NAN;
+  (void)command;
+  if (!take_parameter(s, unit, &parameter)) {
+    return FAILED;
+  }
+  const core_choice *one = core_properties;
+  while (one->name != NULL && (strlen(one->name) != parameter.bytes ||
+                               strncasecmp(one->name, parameter.text, parameter.bytes) != 0)) {
+    one++;
+  }
+  if (one->name == NULL) {
+    return fail_with(s, BAD_VALUE, "property", "a name of core/TISSUE.md, as hbo2_uM");
+  }
+  double *property = &s->settings.properties[one->id];
+  if (unit->query) {
+    return took_all(s, unit) ? answer_decimals(s, property, 1, false) : FAILED;
+  }
+  if (!take_parameter(s, unit, &parameter) || !took_all(s, unit) ||
+      (!is_word(&parameter, "OFF") && !read_number(s, &parameter, NULL, &value))) {
+    return FAILED;
+  }
+  *property = value;
+  return DONE;
+}
+
+/* Makes the medium of the tissue at a wavelength. */
+COMMAND(use_wavelength) {
+  struct scpi_parameter parameter;
+  wire_tissue_request start = s->settings.tissue;
+  schema_layout layout;
+  double value;
+  if (unit->query) {
+    return answer_decimals(s, &s->settings.wavelength_nm, 1, false);
+  }
+  if (!take_parameter(s, unit, &parameter) || !read_number(s, &parameter, NULL, &value) ||
+      !took_all(s, unit)) {
+    return FAILED;
+  }
+  for (int i = 0; i < CORE_PROPERTIES_END; i++) {
+    start.property_count += !isnan(s->settings.properties[i]);
+  }
+  uint8_t *payload = begin_payload(s, SCPI_EVAL, &schema_tissue_request, &start, &layout);
+  if (payload == NULL) {
+    return FAILED;
+  }
+  uint8_t *at = payload + layout.parts[0].at;
+  for (int i = 0; i < CORE_PROPERTIES_END; i++) {
+    const wire_parameter property = {.parameter = (uint16_t)i, .value = s->settings.properties[i]};
+    if (!isnan(property.value)) {
+      wire_put_parameter(at, &property);
+      at += WIRE_BYTES_parameter;
+    }
+  }
+  schema_put_part(payload, &layout, 1, &value);
+  s->settings.wavelength_nm = value;
+  return wait_for(s, command, WIRE_TYPE_TISSUE);
+}
+
+/* Takes the medium of a tissue that has been made. */
+static void take_tissue(struct scpi_session *s) {
+  const uint8_t *reply = (const uint8_t *)s->tasks[SCPI_EVAL].reply.bytes;
+  wire_get_medium(reply + WIRE_BYTES_tissue_reply, &s->settings.layers[0]);
+  s->settings.layer_count = 1;
+  s->settings.named = NULL;
 }
 
 /* ---- overlapped jobs ------------------------------------------------------------------------- */
@@ -741,13 +840,10 @@ static enum outcome start_overlapped(struct scpi_session *s, enum scpi_task_inde
 
 /* Returns whether a job of this kind can be started. */
 static bool is_free(struct scpi_session *s, const struct scpi_command *command,
-                    enum scpi_task_index index) {
-  const bool runs =
-      s->tasks[index].state == SCPI_TASK_RUNS || s->tasks[index].state == SCPI_TASK_ENDS;
-  return !(runs ? fail_with(s, CONFLICT, command->pattern, "when the one that runs has ended")
-           : s->settings.layer_count == 0
-               ? fail_with(s, CONFLICT, "MEDium", "a medium, which has no default")
-               : DONE);
+                    const struct scpi_task *task) {
+  const bool runs = task->state == SCPI_TASK_RUNS || task->state == SCPI_TASK_ENDS;
+  return runs ? fail_with(s, CONFLICT, command->pattern, "when the one that runs has ended")
+              : has_medium(s);
 }
 
 COMMAND(start_fit) {
@@ -756,7 +852,7 @@ COMMAND(start_fit) {
   fit_start start = s->settings.fit;
   schema_layout layout;
   (void)unit;
-  if (!is_free(s, command, SCPI_FIT)) {
+  if (!is_free(s, command, &s->tasks[SCPI_FIT])) {
     return FAILED;
   }
   if (s->settings.layer_count > 1) {
@@ -780,19 +876,6 @@ COMMAND(start_fit) {
   return start_overlapped(s, SCPI_FIT, WIRE_TYPE_FIT);
 }
 
-COMMAND(use_reference) {
-  wire_medium medium;
-  (void)command;
-  if (unit->query) {
-    return answer_medium(s, &s->settings.reference);
-  }
-  if (!take_medium(s, unit, &medium)) {
-    return FAILED;
-  }
-  s->settings.reference = medium;
-  return DONE;
-}
-
 /* Returns the reply of an overlapped job that has ended; notes an error if there is none. */
 static const uint8_t *reply_of(struct scpi_session *s, const struct scpi_command *command,
                                enum scpi_task_index index) {
@@ -803,27 +886,34 @@ static const uint8_t *reply_of(struct scpi_session *s, const struct scpi_command
   return NULL;
 }
 
-enum { FIT_RESULT, FIT_COVARIANCE, FIT_SECOND };
+/* The schema of a reply, which begins with a structure; then come its parts. */
+static const schema_payload *const replies[] = {
+    [SCPI_FIT] = &schema_fit_reply, [SCPI_MC] = &schema_mc_reply};
 
-COMMAND(tell_fit) {
-  wire_fitted fitted;
-  (void)unit;
-  const uint8_t *reply = reply_of(s, command, SCPI_FIT);
-  if (reply == NULL) {
+/* Answers with the fields of a part's first structure that `parameters` lists; sd_X is the root of
+ * variance_X. */
+COMMAND(tell_fields) {
+  const uint8_t *reply = reply_of(s, command, command->most);
+  double values[sizeof(wire_fitted) / sizeof(double)];
+  size_t count = 0, bytes, at;
+  schema_layout layout;
+  if (reply == NULL || !took_all(s, unit)) {
     return FAILED;
   }
-  wire_get_fitted(reply + WIRE_BYTES_fit_reply, &fitted);
-  const double values[][8] = {
-      [FIT_RESULT] = {fitted.sigma_a, fitted.sigma_s_prime, sqrt(fitted.variance_a),
-                      sqrt(fitted.variance_s), fitted.chi_squared, fitted.status, fitted.factor,
-                      fitted.model_error},
-      [FIT_COVARIANCE] = {fitted.variance_a, fitted.covariance_a_s, fitted.variance_s,
-                          fitted.covariance_a_factor, fitted.covariance_s_factor,
-                          fitted.variance_factor},
-      [FIT_SECOND] = {fitted.second_sigma_a, fitted.second_sigma_s_prime, fitted.second_factor,
-                      fitted.second_chi_squared}};
-  static const size_t counts[] = {[FIT_RESULT] = 8, [FIT_COVARIANCE] = 6, [FIT_SECOND] = 4};
-  return answer_values(s, values[command->number], counts[command->number], false);
+  schema_lay_out(replies[command->most], reply, UINT64_MAX, &layout, NULL);
+  reply += layout.parts[command->number].at;
+  for (const char *name = command->parameters; *name != '\0';
+       name += bytes + strspn(name + bytes, ", ")) {
+    char text[HEADER_BYTES];
+    const bool root = strncmp(name, "sd_", 3) == 0;
+    bytes = strcspn(name, ",");
+    snprintf(text, sizeof text, "%s%.*s", root ? "variance_" : "", (int)bytes - 3 * root,
+             name + 3 * root);
+    const schema_field *field = field_named(command->structure, text, strlen(text), &at);
+    const double value = number_at(field, reply + at);
+    values[count++] = root ? sqrt(value) : value;
+  }
+  return answer_values(s, values, count, false);
 }
 
 /* Sets the bits of STATus:QUEStionable that a fit which has ended has. */
@@ -842,7 +932,7 @@ COMMAND(start_mc) {
   wire_mc_request start = s->settings.mc;
   schema_layout layout;
   (void)unit;
-  if (!is_free(s, command, SCPI_MC)) {
+  if (!is_free(s, command, &s->tasks[SCPI_MC])) {
     return FAILED;
   }
   start.layer_count = s->settings.layer_count;
@@ -852,31 +942,6 @@ COMMAND(start_mc) {
   }
   schema_put_part(payload, &layout, 0, s->settings.layers);
   return start_overlapped(s, SCPI_MC, WIRE_TYPE_MC);
-}
-
-COMMAND(use_rings) {
-  const schema_field *count = field_named(FIELDS_OF(mc_request), "ring_count");
-  double values[] = {s->settings.mc.radius_start, s->settings.mc.radius_stop,
-                     s->settings.mc.ring_count};
-  uint64_t bits;
-  (void)command;
-  if (unit->query) {
-    return answer_decimals(s, (const uint8_t *)values, 3, false);
-  }
-  for (int i = 0; i < 3; i++) {
-    if (!take_number(s, unit, i == 2 ? count : NULL, &values[i])) {
-      return FAILED;
-    }
-  }
-  put_bits(count, values[2], &bits);
-  const wire_error error = schema_check_value(count, bits);
-  if (!took_all(s, unit) || error.status != WIRE_STATUS_OK) {
-    return error.status != WIRE_STATUS_OK ? refuse_with(s, error) : FAILED;
-  }
-  s->settings.mc.radius_start = values[0];
-  s->settings.mc.radius_stop = values[1];
-  s->settings.mc.ring_count = (uint32_t)bits;
-  return DONE;
 }
 
 COMMAND(tell_progress) {
@@ -892,14 +957,13 @@ COMMAND(tell_progress) {
   }
   const double values[] = {(double)reply.photons, (double)reply.photons_expected, reply.error_total,
                            reply.state};
-  return answer_decimals(s, (const uint8_t *)values, 4, false);
+  return answer_decimals(s, values, 4, false);
 }
 
-enum { MC_VALUES, MC_DEVIATIONS, MC_EDGES, MC_TOTALS };
+enum { MC_VALUES, MC_DEVIATIONS, MC_EDGES };
 
 COMMAND(tell_mc) {
   wire_mc_reply fixed;
-  wire_mc_energy energy;
   mc_layout layout;
   unsigned side = 1;
   const uint8_t *reply = reply_of(s, command, SCPI_MC);
@@ -909,10 +973,6 @@ COMMAND(tell_mc) {
   mc_reply_parse(reply, s->tasks[SCPI_MC].reply.count, &fixed, &layout);
   if (command->number == MC_EDGES) {
     return answer_values(s, reply + layout.edges_offset, fixed.ring_count + 1, false);
-  }
-  if (command->number == MC_TOTALS) {
-    wire_get_mc_energy(reply + layout.energies_offset, &energy);
-    return answer_values(s, &energy.reflected, 6, false);
   }
   if (unit->at < unit->end &&
       !take_integer(s, unit, command->pattern, 1, fixed.side_count, &side)) {
@@ -945,18 +1005,18 @@ COMMAND(abort_job) {
 
 static const struct scpi_command commands[] = {
 #define SCPI_COMMAND(pattern, FORMS, function, number, parameters, about)                          \
-  {pattern, FORMS, function, number, 0, NULL, NULL, parameters},
+  {pattern, FORMS, function, number, 0, NULL, parameters},
 #define SCPI_REGISTER(pattern, FORMS, member, most, about)                                         \
-  {pattern, FORMS, use_register, offsetof(struct scpi_status, member), most, NULL, NULL, "<n>"},
-#define SCPI_FIELD(pattern, member, structure, field, parameters, about)                           \
-  {pattern,   BOTH,                                                                                \
-   use_field, offsetof(struct scpi_settings, member.field),                                        \
-   0,         FIELDS_OF(structure),                                                                \
-   #field,    parameters},
+  {pattern, FORMS, use_register, offsetof(struct scpi_status, member), most, NULL, "<n>"},
+#define SCPI_FIELDS(pattern, function, member, structure, parameters, about)                       \
+  {pattern,   BOTH, function, offsetof(struct scpi_settings, member), 0, FIELDS_OF(structure),     \
+   parameters},
 #define SCPI_NUMBERS(pattern, FORMS, LIST, parameters, about)                                      \
-  {pattern, FORMS, use_numbers, SCPI_##LIST, 0, NULL, NULL, parameters},
+  {pattern, FORMS, use_numbers, SCPI_##LIST, 0, NULL, parameters},
 #define SCPI_QUANTITY(pattern, QUANTITY, parameters, about)                                        \
-  {pattern, QUERY, ask_quantity, CORE_QUANTITY_##QUANTITY, 0, NULL, NULL, parameters},
+  {pattern, QUERY, ask_quantity, CORE_QUANTITY_##QUANTITY, 0, NULL, parameters},
+#define SCPI_REPLY(pattern, TASK, part, structure, fields)                                         \
+  {pattern, QUERY, tell_fields, part, SCPI_##TASK, FIELDS_OF(structure), fields},
 #include "proto/scpi.def"
 };
 
@@ -975,7 +1035,7 @@ COMMAND(tell_headers) {
   }
   const int digits = snprintf(head, sizeof head, "%zu", list.count);
   snprintf(head, sizeof head, "#%d%zu", digits, list.count);
-  answer_text(s, head);
+  add_answer(s, ';', head);
   http_text_add(&s->answers, list.bytes, list.count);
   http_text_free(&list);
   return DONE;
@@ -1123,8 +1183,9 @@ bool scpi_session_finish(struct scpi_session *s) {
     const bool refused = task->error.status != WIRE_STATUS_OK;
     task->state = refused ? SCPI_TASK_NONE : SCPI_TASK_DONE;
     http_text_reset(&task->payload);
-    if (refused) {
-      refuse_with(s, task->error);
+    if (!is_good(s, task->error)) {
+    } else if (i == SCPI_EVAL && s->waits_for->carry_out == use_wavelength) {
+      take_tissue(s);
     } else if (i == SCPI_EVAL) {
       answer_eval(s, s->waits_for);
     } else if (i == SCPI_FIT) {

@@ -8,6 +8,7 @@
 #ifndef DIPOLED_SCPI_SESSION_H
 #define DIPOLED_SCPI_SESSION_H
 
+#include "core/tissue/tissue.h"
 #include "proto/fit.h"
 #include "server/http/text.h"
 #include "server/jobs/run.h"
@@ -40,7 +41,10 @@ struct scpi_settings {
   const core_measured_medium *named; /* whose channel the layers are; NULL: none */
   unsigned channel;                  /* from 1 on */
   wire_medium reference;
-  double tolerance; /* NaN: off */
+  double tolerance;                       /* NaN: off */
+  wire_tissue_request tissue;             /* without its counts */
+  double properties[CORE_PROPERTIES_END]; /* NaN: as the tissue has it */
+  double wavelength_nm;                   /* that the medium was made for */
   enum scpi_format { SCPI_ASCII, SCPI_REAL_32, SCPI_REAL_64 } format;
   bool swapped; /* whether numbers in blocks are little-endian */
 };

@@ -92,11 +92,12 @@ def visa(shared):
 
 GIVEN = {
     "*ESE": "60", "*SRE": "4", "STATus:OPERation:ENABle": "16", "STATus:QUEStionable:ENABle": "512",
-    "MEDium[:COEFficients]": "0.05,9.5,0.9,1.4", "MEDium:LAYer<n>": "0.1,9,0.9,1.4",
+    "MEDium[:COEFficients]": "0.05,9.5,0.9,1.4,0", "MEDium:LAYer<n>": "0.1,9,0.9,1.4,2",
     "MEDium:NAME": "skin1", "MEDium:CHANnel": "3", "MODel": "transport", "TOLerance": "0.01",
     "EVALuator": "f64", "FIT:PLACes": "1,2,4", "FIT:READings": "0.013,0.0045,0.0008",
     "FIT:ERRors": "1e-4,1e-5,1e-5", "FIT:AXIS": "r", "FIT:SCALe": "free", "FIT:MODel": "better",
-    "FIT:REFerence": "0.1,9,0.9,1.4", "MC:PHOTons": "8192", "MC:RINGs": "0,5,2",
+    "FIT:REFerence": "0.1,9,0.9,1.4,0", "MEDium:TISSue": "liver", "MEDium:PROPerty": "HB_UM,10",
+    "MEDium:TABLe": "ucl", "MEDium:WAVelength": "650", "MC:PHOTons": "8192", "MC:RINGs": "0,5,2",
     "MC:SPACing": "linear", "MC:SEED": "7", "MC:TARGet": "0.5", "R:DATA": "0.5,1", "R": "0.5,1",
     "R:FREQuency": "0,0.1", "T": "0.5,1", "FORMat[:DATA]": "ASC", "FORMat:BORDer": "SWAP",
 }  # fmt: skip
@@ -118,6 +119,7 @@ def test_every_command_of_the_page(visa):
     for name, mark in rows:
         short = re.sub(r"\[.*?\]|[a-z]|<n>", "", name)
         given = GIVEN.get(name, "") if (name, mark) != ("R:DATA", "?") else ""
+        given = given.split(",")[0] if (short, mark) == ("MED:PROP", "?") else given
         if mark != "?":
             visa.write(f"{short} {given}")
         if short in ("FIT", "MC:STAR"):
@@ -140,10 +142,10 @@ def test_long_and_short_forms(raw):
         raw.send("*RST", message)
         assert raw.ask("FORM?") == "REAL,32"
     assert raw.ask(f"{MED}; LAYer?;NAME?;*STB?;LAY1?;:FORM REAL,64;BORD SWAP;BORD?;;:TOL 1E-3;TOL?") == (
-        '0.05,9.5,0.9,1.4;"";16;0.05,9.5,0.9,1.4;SWAP;1e-3'
+        '0.05,9.5,0.9,1.4,0;"";16;0.05,9.5,0.9,1.4,0;SWAP;1e-3'
     )
     assert raw.ask("med:name 'SKIN1';chan 2;chan?;:STAT:OPER?;ENAB 1;ENAB?") == "2;0;1"
-    assert raw.ask("MC:PHOT DEF;PHOT?;:MED 0,MAX,0,1;:MED?") == "1000000;0,1e15,0,1"
+    assert raw.ask("MC:PHOT DEF;PHOT?;:MED 0,MAX,0,1;:MED?") == "1000000;0,1e15,0,1,0"
     for message, error in [
         ("FORMA REAL,64", '-113,"Undefined header;FORMA"'),
         ("MED:NAME SKIN1;TOL 1", '-113,"Undefined header;TOL"'),
@@ -200,9 +202,13 @@ def test_layers_slabs_and_frequencies(shared, raw):
     assert np.float32(raw.ask("MED 0.1,2,0,1.4,3;:T? 1")) == slab.T[0, 0]
     assert np.float32(raw.ask("MED:NAME SKIN1;CHAN 3;:R? 1")) == skin.R[2, 0]
     layered = raw.ask("MED 0.1,2,0,1.4,1;LAY2 0.05,1,0,1.4;LAY2?;:R? 1").split(";")
-    assert layered[0] == "0.05,1,0,1.4" and 0 < float(layered[1]) < 1
+    assert layered[0] == "0.05,1,0,1.4,0" and 0 < float(layered[1]) < 1
     albedo, at_0 = raw.ask("MED 0.1,2,0,1.4;:EVAL F64;:ALB?;:R:FREQ? 0").split(";")
     assert float(at_0) == pytest.approx(float(albedo), rel=1e-6)
+    with shared.client() as client:
+        liver = client.tissue([1000], "liver", {"hb_uM": 100})[0]
+    told = raw.numbers("MED:TISS LIVer;PROP hb_um,100;WAV 1000;:MED?")
+    assert told == [liver.sigma_a, liver.sigma_s, liver.g, liver.eta, 0]
     assert raw.ask("R:DATA?") == '""' and raw.ask("FORM REAL,64;:R:DATA?") == "#10"
     assert raw.numbers("FORM ASC;:R? 0")[0] == 9.9e37
 
