@@ -402,7 +402,7 @@ enum core_light {
   CORE_LIGHTS
 };
 
-/* Sets *albedo to the share of the power that has entered which leaves; NaN on a fault. For a beam
+/* Sets *albedo to the share that leaves of the power that entered; NaN on a fault. For a beam
  * it is what core_profile_prepare() would set core_profile.albedo to, for CORE_EVALUATOR_F64 without
  * parameters. Diffuse light needs `transport` (asserted), and has an error of 1e-6. Arguments and
  * faults are those of core_profile_prepare(). It takes as long as preparing, or some ten

@@ -270,7 +270,7 @@ static int make_gaussians(bake *of) {
 /* ---- the sphere ------------------------------------------------------------------------------ */
 
 /* Returns the light that leaves a sphere where the cosine of the incident light's angle is `mu`,
- * over what leaves in the same light from all directions. On a sphere the area within a chord is
+ * over what leaves a plane where that is 1. On a sphere the area within a chord is
  * that within the same radius of a plane, so that each chord has its share. The mean of the light
  * over a ring, A + B cos phi where that is positive, is known. */
 static double sphere_at(const double *r_mm, double radius_mm, double mu) {
@@ -825,7 +825,7 @@ static int take_media(bake *of) {
       add_fact(&of->sheet, cli_copy(name, strlen(name)), of_layer[k].about, numbers);
     }
   }
-  add_fact(&of->sheet, "colour", "share of the light that entered at normal incidence which leaves",
+  add_fact(&of->sheet, "colour", "share that leaves of the light that entered at normal incidence",
            colours);
   if (!half_space) {
     add_fact(&of->sheet, "transport_error", "relative error of R; the other errors are beside it",
@@ -861,14 +861,15 @@ const cli_command cli_command_bake = {
         "kernel: taps of a separable blur, with the exact light of their bins\n"
         "burley: the length d (mm) of Burley's profile whose shadow edge is the nearest\n"
         "gaussians: shares of the light and variances (mm^2) of Gaussians\n"
-        "lut: light on a sphere by N.L, -1 to 1, and curvature, 0 to 1 per mm, at the middles of "
-        "texels, over that inside (pre-integrated, Penner 2011, but over the whole sphere)\n"
-        "profile: R (1/mm^2 per power that entered) and the light within r over all, by r; pfm has "
-        "two "
-        "rows of texels, R and that, with r = range u^2 for u from 0 to 1\n"
+        "lut: light that leaves a sphere, over that of a plane at N.L = 1, by N.L, -1 to 1, and "
+        "curvature, 0 to 1 per mm, at the middles of texels (pre-integrated, Penner 2011, but over "
+        "the whole sphere)\n"
+        "profile: R (1/mm^2 per power that entered) and the cdf, the share of the light within r, "
+        "by r; pfm has two rows of texels, R and cdf, with r = range u^2 for u from 0 to 1\n"
         "colour-map: the single-scattering albedo of colours 0 to 1, for --g, --eta (default: 1.5) "
         "and --light\n"
-        "formula: the same as a function of the colour, g (0 to 0.9) and eta (1.3 to 1.6), for c, "
+        "formula: the same albedo as a function of the colour, g (0 to 0.9) and eta (1.3 to 1.6), "
+        "for c, "
         "glsl, hlsl, osl and python\n"
         "Values are by transport, linear, and for weights of 1 in each channel: multiply by "
         "`colour`. Each file says its errors. c is an array of C, hlsl one of float4 with "

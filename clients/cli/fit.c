@@ -816,7 +816,8 @@ const cli_command cli_command_fit = {
     .more =
         "FILE is CSV; without it, standard input is read. The header names the columns: r "
         "(distance from the light, mm) or f (spatial frequency of striped light, 1/mm), R (the "
-        "reading, 1/mm^2 per unit of power that entered; at f its share) and error (its standard "
+        "reading, 1/mm^2 per unit of power that entered; at f the share R_f) and error (its "
+        "standard "
         "error). These may be absent: sample (a name; lines of the same name belong together), "
         "eta, g, source_mm and detector_mm (diameters of the discs that light enters through and "
         "is detected on), and detector_na (see --detector-na). Each sample has at least as many "

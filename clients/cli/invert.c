@@ -14,7 +14,7 @@ static const cli_option options[] = {
     CLI_TITLE("Medium"),
     CLI_OPTION(
         NUMBERS, albedo, NULL,
-        "diffuse albedo: the share of the power that entered which leaves, 0 to 1, linear; one "
+        "diffuse albedo: the share that leaves of the power that entered, 0 to 1, linear; one "
         "value for each channel"),
     CLI_OPTION(SWITCH, srgb, NULL, "the albedos are sRGB values, 0 to 1"),
     CLI_COLOUR_OPTIONS,

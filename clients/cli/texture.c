@@ -556,7 +556,7 @@ const cli_command cli_command_texture = {
     .about = "Map an image of colours to images of the media that have them",
     .more =
         "IN is a PNG or a PFM (portable float map). Each of its values is a colour: the diffuse "
-        "albedo, the share of the power that leaves of that which entered. OUT ends with .pfm or, "
+        "albedo, the share that leaves of the power that entered. OUT ends with .pfm or, "
         "with --coefficients scattered, with .png; with several coefficients their names stand "
         "before the ending, as in skin.sigma_a.pfm. "
         "The media have the colours under the model, to 1e-5 with transport. A colour that no "

@@ -5,7 +5,7 @@ $ dipole bake kernel --medium skin1 --eta 1.4 --common --format hlsl --taps 11
 // sigma_s 0.74 0.88 1.01 (scattering coefficient, 1/mm)
 // g 0 0 0 (mean cosine of the scattering angle)
 // eta 1.4 1.4 1.4 (refractive index)
-// colour 0.400296 0.186303 0.0988927 (share of the light that entered at normal incidence which leaves)
+// colour 0.400296 0.186303 0.0988927 (share that leaves of the light that entered at normal incidence)
 // range_mm 7.3783 7.3783 7.3783 (offset of the last tap)
 // edge_error 0.0133974 0.0273923 0.0482006 (largest error beside a straight shadow edge, of the light inside, if taps take the light of their bins (half the way to each neighbour))
 // step 0.158057 0.30317 0.479536 (largest step if an edge is sharper than the taps lie apart)
@@ -31,7 +31,7 @@ $ dipole bake kernel --sigma-a .1 --sigma-s 1 --g 0 --taps 11 --range 4
 // sigma_s 1 1 1 (scattering coefficient, 1/mm)
 // g 0 0 0 (mean cosine of the scattering angle)
 // eta 1.3 1.3 1.3 (refractive index)
-// colour 0.306607 0.306607 0.306607 (share of the light that entered at normal incidence which leaves)
+// colour 0.306607 0.306607 0.306607 (share that leaves of the light that entered at normal incidence)
 // range_mm 4 4 4 (offset of the last tap)
 // edge_error 0.0154442 0.0154442 0.0154442 (largest error beside a straight shadow edge, of the light inside, if taps take the light of their bins (half the way to each neighbour))
 // step 0.172227 0.172227 0.172227 (largest step if an edge is sharper than the taps lie apart)
@@ -70,7 +70,7 @@ $ dipole bake burley --medium skin1 --eta 1.4 --format csv
 # sigma_s 0.74 0.88 1.01 (scattering coefficient, 1/mm)
 # g 0 0 0 (mean cosine of the scattering angle)
 # eta 1.4 1.4 1.4 (refractive index)
-# colour 0.400296 0.186303 0.0988927 (share of the light that entered at normal incidence which leaves)
+# colour 0.400296 0.186303 0.0988927 (share that leaves of the light that entered at normal incidence)
 # edge_error 0.00641388 0.010235 0.0124214 (largest error beside a straight shadow edge, of the light inside)
 d_red,d_green,d_blue
 1.22272644,0.466210495,0.207102808

@@ -54,7 +54,7 @@ header, and commas, semicolons or tabs between its cells. Lines that start with 
 but below the header only those with one cell.
 
 Medium
-  --albedo X[,X...]     diffuse albedo: the share of the power that entered which leaves, 0 to 1,
+  --albedo X[,X...]     diffuse albedo: the share that leaves of the power that entered, 0 to 1,
                         linear; one value for each channel
   --srgb                the albedos are sRGB values, 0 to 1
   --light NAME          the light of the colours: beam, at normal incidence, or diffuse, the same
