@@ -116,6 +116,7 @@ const core_choice core_value_statuses[] = {
 #define CHANNEL false
 #define RADII false
 #define COMPARED true
+#define DERIVED true
 bool core_quantity_elementwise(unsigned bit) {
   switch (bit) {
 #define CORE_QUANTITY(bit, IDENT, name, unit, SHAPE)                                               \
@@ -157,7 +158,7 @@ const core_choice *core_choice_by_name(const core_choice *list, const char *name
 }
 
 bool core_solves(unsigned model) {
-  enum { SLOW = 0, COSTLY = 0, DERIVES = 0, SLABS = 0, LAYERS = 0, SOLVES = 1 };
+  enum { SLOW = 0, COSTLY = 0, DERIVES = 0, MODULATES = 0, SLABS = 0, LAYERS = 0, SOLVES = 1 };
 #define BIT(IDENT) 0
   switch (model) {
 #define CORE_MODEL(id, IDENT, name, formula, kernels, variant, parameters, source)                 \

@@ -357,11 +357,14 @@ typedef struct core_profile {
   struct core_profile *parts;         /* [2], owned; NULL unless the profile is a sum */
   double *table;                      /* holds the coefficients if they need more room; owned */
   size_t table_bytes;
-  float *lut;                  /* table of the evaluator lut (core/lut/lut.h); owned */
-  size_t lut_count;            /* number of words of lut */
-  struct core_profile *source; /* from which lut was made, NULL if downloaded; owned */
-  double scale_mm;             /* order of magnitude of the radii that matter */
-  double cos_in;               /* cosines of the angles of S */
+  float *lut;                         /* table of the evaluator lut (core/lut/lut.h); owned */
+  size_t lut_count;                   /* number of words of lut */
+  struct core_profile *source;        /* from which lut was made, NULL if downloaded; owned */
+  double scale_mm;                    /* order of magnitude of the radii that matter */
+  double path_sigma_a_per_mm;         /* of the layer whose PATH is evaluated */
+  double path_index;                  /* that of its speed of light */
+  struct core_modulation *modulation; /* NULL without the parameter `mhz`; owned */
+  double cos_in;                      /* cosines of the angles of S */
   double cos_out;
   double part_shares[2]; /* share of the albedo of each part, if the model is a sum of two parts */
   union {
@@ -373,7 +376,8 @@ typedef struct core_profile {
 /* Returns the fault that core_profile_prepare() would return for the same arguments, but takes less
  * time. If there is no fault, *radii is the range where such a profile may be evaluated. Some
  * faults show only in preparing: that memory has run out, that a fit or table misses the tolerance,
- * and that the solver refuses layers (`sigma_s`) or finds none of their light (`thickness`).
+ * that a model does not cover the media which modulated light needs (`mhz`), and that the solver
+ * refuses layers (`sigma_s`) or finds none of their light (`thickness`).
  * parameters and radii may be NULL. */
 core_fault core_profile_check(unsigned model, unsigned moments, unsigned evaluator,
                               const core_medium *medium, const core_parameters *parameters,
@@ -410,9 +414,9 @@ enum core_light {
 core_fault core_albedo(const core_isa *isa, unsigned model, unsigned moments, enum core_light light,
                        const core_medium *medium, double *albedo);
 
-/* Whether preparing takes longer than some ten microseconds, so that caching the profile pays. It
- * is true wherever core_prepares_slowly() is. */
-bool core_worth_keeping(unsigned model, unsigned evaluator);
+/* Whether preparing takes longer than some ten microseconds, so that caching the profile pays, or the
+ * profile owns memory. It is true wherever core_prepares_slowly() is. parameters: may be NULL. */
+bool core_worth_keeping(unsigned model, unsigned evaluator, const core_parameters *parameters);
 
 /* Prepares *profile for the kernels of isa. model, moments and evaluator may be any integers, as a
  * peer may have sent them; parameters may be NULL if none is given. On a fault *profile is
@@ -434,10 +438,23 @@ core_fault core_profile_prepare_until(core_profile *profile, const core_isa *isa
 /* What the transformation of R to TRANSFER adds to the numerical error. */
 #define CORE_TRANSFER_ERROR 1e-9
 
-/* True if any of the quantities (bits) is a derivative of ln R. Their errors are absolute. */
+/* The quantities of core/paths.h. Their errors are absolute, and their model errors not known. */
+enum {
+  CORE_PATHS = CORE_QUANTITY_PATH | CORE_QUANTITY_DPF | CORE_QUANTITY_TIME,
+  CORE_MODULATED = CORE_QUANTITY_PHASE | CORE_QUANTITY_MODULATION
+};
+
+/* True if any of the quantities (bits) is a derivative of ln R, or follows from one. Their errors are
+ * absolute. */
 static inline bool core_wants_derivatives(unsigned wanted) {
-  return (wanted & (CORE_QUANTITY_BY_SIGMA_A | CORE_QUANTITY_BY_SIGMA_S)) != 0;
+  return (wanted & (CORE_QUANTITY_BY_SIGMA_A | CORE_QUANTITY_BY_SIGMA_S | CORE_PATHS)) != 0;
 }
+
+/* Returns the fault of CORE_PATHS or CORE_MODULATED, if they are wanted, for a medium and parameters
+ * that core_profile_check() accepts: without absorption the first would be a quotient of zeros, and
+ * the second need the parameter `mhz`. */
+core_fault core_paths_check(unsigned wanted, const core_medium *medium,
+                            const core_parameters *parameters);
 
 /* The numerical errors of a profile's values that a reply states. */
 typedef struct core_stated_errors {
@@ -488,6 +505,12 @@ size_t core_profile_bytes(const core_profile *profile);
  *          layers they are those by the coefficients of one, CORE_PARAMETER_DERIVATIVE_LAYER. Their
  *          error is absolute: derivative_error + derivative_error_per_mm r. The profile has to be
  *          prepared with CORE_PARAMETER_DERIVATIVES
+ *   PATH   the mean length of the paths in the medium of the light that leaves at r, mm:
+ *          -BY_SIGMA_A / sigma_a; of layers, in the layer CORE_PARAMETER_DERIVATIVE_LAYER
+ *   DPF    PATH / r, infinity at r = 0; TIME  PATH n / c, ps, n = CORE_PARAMETER_INDEX or eta.
+ *          The profile has to be prepared as for BY_SIGMA_A, and the layer has to absorb
+ *   PHASE  the lag of light modulated with CORE_PARAMETER_MHZ, -arg R~ in degrees, not reduced to a
+ *          circle; MODULATION  |R~| / R. R~ is R at the complex absorption sigma_a + i omega n / c
  * The arrays need only their type's alignment and must not overlap. Values for radii that
  * core_radii_check_f64() faults are unspecified. */
 void core_eval_f64(const core_profile *profile, enum core_quantity quantity, size_t n,

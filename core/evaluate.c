@@ -11,6 +11,7 @@
 #include <string.h>
 
 #include "core/kernels.h"
+#include "core/paths.h"
 
 #define CORE_REAL 64
 #include "core/kernel.h"
@@ -159,6 +160,15 @@ static void multiply(const core_profile *profile, enum core_quantity quantity, s
 
 void core_evaluate(const core_profile *profile, enum core_quantity quantity, size_t n,
                    const double *r, double *out) {
+  if ((quantity & CORE_MODULATED) != 0) {
+    core_modulation_eval(profile, quantity, n, r, out);
+    return;
+  }
+  if ((quantity & CORE_PATHS) != 0) {
+    core_evaluate(profile, CORE_QUANTITY_BY_SIGMA_A, n, r, out);
+    core_paths_make(profile, quantity, n, r, out);
+    return;
+  }
   if (is_multiple(quantity)) {
     for (size_t done = 0; done < n; done += CHUNK) {
       const size_t count = smaller(n - done, CHUNK);
@@ -213,12 +223,29 @@ static void widely(const core_profile *profile, enum core_quantity quantity, siz
   }
 }
 
+/* Makes paths from the derivatives of the kernels in single precision. */
+static void narrow_paths(const core_profile *profile, enum core_quantity quantity, size_t n,
+                         const float *r, float *out) {
+  core_eval_f32(profile, CORE_QUANTITY_BY_SIGMA_A, n, r, out);
+  for (size_t i = 0; i < n; i++) {
+    const double wide_r = (double)r[i];
+    double value = (double)out[i];
+    core_paths_make(profile, quantity, 1, &wide_r, &value);
+    out[i] = (float)value;
+  }
+}
+
 void core_eval_f32(const core_profile *profile, enum core_quantity quantity, size_t n,
                    const float *r, float *out) {
   assert(profile->evaluator != CORE_EVALUATOR_F64);
   core_kernel_f32 *const *kernels =
       core_is_narrow(profile) ? profile->kernels->f32->evaluate : NULL;
-  if (kernels != NULL && kernels[position(quantity)] != NULL) {
+  if ((quantity & CORE_MODULATED) != 0) {
+    widely(profile, quantity, n, r, out);
+  } else if ((quantity & CORE_PATHS) != 0) {
+    (kernels != NULL && profile->lut == NULL ? narrow_paths : widely)(
+        profile->lut != NULL ? profile->source : profile, quantity, n, r, out);
+  } else if (kernels != NULL && kernels[position(quantity)] != NULL) {
     kernels[position(quantity)](core_coefficients_f32(profile), n, r, out);
   } else if (profile->source == NULL && core_is_narrow(profile) && quantity == CORE_QUANTITY_T) {
     memset(out, 0, n * sizeof *out);

@@ -22,6 +22,7 @@
 #define CORE_IF_CHANNEL(...)
 #define CORE_IF_RADII(...)
 #define CORE_IF_COMPARED(...)
+#define CORE_IF_DERIVED(...)
 #define CORE_QUANTITY(bit, IDENT, name, unit, SHAPE) CORE_IF_##SHAPE(CORE_ELEMENTWISE_##IDENT, )
 enum core_elementwise {
 #include "core/choices.def"

@@ -3,6 +3,7 @@
 #include <math.h>
 
 #include "core/kernels.h"
+#include "core/paths.h"
 
 #define CORE_REAL 64
 #include "core/kernel.h"
@@ -167,12 +168,28 @@ static bool is_too_near(const core_profile *profile, unsigned wanted, double r_m
           ((wanted & CORE_QUANTITY_SLOPE) != 0 && r_mm < least_mm));
 }
 
+/* Returns the largest errors of CORE_PATHS and CORE_MODULATED that are wanted, and of the others. */
+static core_stated_errors add_light(const core_profile *profile, unsigned wanted,
+                                    core_stated_errors others, core_radii_range radii) {
+  const core_stated_errors derivative = {
+      (wanted & CORE_PATHS) != 0 ? derivative_error(profile, radii) : 0,
+      profile->derivative_error_per_mm};
+  for (unsigned left = wanted & (CORE_PATHS | CORE_MODULATED); left != 0; left &= left - 1) {
+    const core_stated_errors error =
+        core_paths_errors(profile, left & ~(left - 1), derivative, radii);
+    others.numerical = fmax(others.numerical, error.numerical);
+    others.numerical_per_mm = fmax(others.numerical_per_mm, error.numerical_per_mm);
+  }
+  return others;
+}
+
 core_stated_errors core_profile_errors(const core_profile *profile, unsigned wanted,
                                        core_radii_range radii) {
-  const bool derivatives = core_wants_derivatives(wanted);
-  const unsigned others = wanted & ~(unsigned)(CORE_QUANTITY_BY_SIGMA_A | CORE_QUANTITY_BY_SIGMA_S |
-                                               CORE_QUANTITY_T | CORE_QUANTITY_MODEL_ERROR |
-                                               CORE_QUANTITY_MODEL_ERRORS | CORE_QUANTITY_RADIUS);
+  const unsigned by_sigma = CORE_QUANTITY_BY_SIGMA_A | CORE_QUANTITY_BY_SIGMA_S;
+  const bool derivatives = (wanted & by_sigma) != 0;
+  const unsigned others =
+      wanted & ~(by_sigma | CORE_PATHS | CORE_MODULATED | CORE_QUANTITY_T |
+                 CORE_QUANTITY_MODEL_ERROR | CORE_QUANTITY_MODEL_ERRORS | CORE_QUANTITY_RADIUS);
 
   const double most_mm = (wanted & FOLLOWS_R) != 0 ? radii.most_mm : 0;
   const double numerical = core_banded_error(profile->numerical_errors, profile->numerical_error,
@@ -190,11 +207,12 @@ core_stated_errors core_profile_errors(const core_profile *profile, unsigned wan
   if (is_too_near(profile, has_T ? wanted | CORE_QUANTITY_R : wanted, radii.least_mm)) {
     return (core_stated_errors){.numerical = (double)INFINITY};
   }
-  return (core_stated_errors){
+  const core_stated_errors errors = {
       .numerical = fmax(fmax(others != 0 ? of_others : 0, of_T),
                         derivatives ? derivative_error(profile, radii) : 0),
       .numerical_per_mm = fmax(
           (others & ~(unsigned)CORE_QUANTITY_ALBEDO) != 0 ? profile->numerical_error_per_mm : 0,
           derivatives ? profile->derivative_error_per_mm : 0),
   };
+  return add_light(profile, wanted, errors, radii);
 }

@@ -2,7 +2,7 @@
  * program that only evaluates tables need not link the code that prepares profiles. */
 #include <stdlib.h>
 
-#include "core/core.h"
+#include "core/paths.h"
 
 size_t core_profile_bytes(const core_profile *profile) {
   size_t bytes = profile->table_bytes + profile->lut_count * sizeof *profile->lut;
@@ -12,7 +12,11 @@ size_t core_profile_bytes(const core_profile *profile) {
   for (int i = 0; i < 2 && profile->parts != NULL; i++) {
     bytes += sizeof profile->parts[i] + core_profile_bytes(&profile->parts[i]);
   }
-  return bytes;
+  const core_modulation *modulation = profile->modulation;
+  for (unsigned i = 0; modulation != NULL && i < modulation->count; i++) {
+    bytes += core_profile_bytes(&modulation->node[i]);
+  }
+  return bytes + (modulation != NULL ? sizeof *modulation : 0);
 }
 
 void core_profile_free(core_profile *profile) {
@@ -30,5 +34,12 @@ void core_profile_free(core_profile *profile) {
     core_profile_free(&profile->parts[1]);
     free(profile->parts);
     profile->parts = NULL;
+  }
+  if (profile->modulation != NULL) {
+    for (unsigned i = 0; i < profile->modulation->count; i++) {
+      core_profile_free(&profile->modulation->node[i]);
+    }
+    free(profile->modulation);
+    profile->modulation = NULL;
   }
 }

@@ -7,6 +7,7 @@
 
 #include "core/kernels.h"
 #include "core/lut/lut.h"
+#include "core/paths.h"
 #include "core/ruler.h"
 
 #define CORE_MODEL(id, IDENT, name, formula, kernels, variant, parameters, source)                 \
@@ -33,6 +34,7 @@ struct model {
 #define SLABS (1u << 28)   /* the model takes a layer of finite thickness */
 #define LAYERS (1u << 27)  /* the model takes several layers */
 #define BIT(IDENT) (1u << CORE_PARAMETER_##IDENT)
+#define MODULATES (BIT(INDEX) | BIT(MHZ)) /* it is an analytic function of sigma_a (core/paths.h) */
 #define TAKEN_BY_ALL (BIT(TOLERANCE) | BIT(COS_IN) | BIT(COS_OUT))
 
 static const struct model models[] = {
@@ -42,6 +44,8 @@ static const struct model models[] = {
   {id, NULL, NULL, 0, 0, {CORE_MODEL_##FIRST, CORE_MODEL_##SECOND}},
 #include "core/models.def"
 };
+
+#define PI 3.14159265358979323846
 
 enum { MODELS = sizeof models / sizeof models[0] };
 
@@ -55,9 +59,12 @@ static const struct model *find_model(unsigned id) {
 }
 
 static unsigned parameters_of(const struct model *model) {
-  return model->check != NULL ? model->parameters | TAKEN_BY_ALL
-                              : parameters_of(find_model(model->parts[0])) |
-                                    parameters_of(find_model(model->parts[1]));
+  if (model->check != NULL) {
+    return model->parameters | TAKEN_BY_ALL | ((model->parameters & DERIVES) != 0 ? BIT(INDEX) : 0);
+  }
+  const unsigned first = parameters_of(find_model(model->parts[0]));
+  const unsigned second = parameters_of(find_model(model->parts[1]));
+  return (first | second) & ~(MODULATES & ~(first & second));
 }
 
 bool core_has_derivatives(unsigned model) {
@@ -99,7 +106,9 @@ bool core_prepares_slowly(unsigned model, unsigned evaluator, const core_medium 
   const struct model *found = find_model(model);
   return found != NULL && (evaluator == CORE_EVALUATOR_LUT || (parameters_of(found) & SLOW) != 0 ||
                            (medium == NULL ? (parameters_of(found) & SOLVES) != 0
-                                           : core_has_to_solve(model, medium, parameters)));
+                                           : core_has_to_solve(model, medium, parameters) ||
+                                                 ((parameters_of(found) & SOLVES) != 0 &&
+                                                  !isnan(parameters->value[CORE_PARAMETER_MHZ]))));
 }
 
 bool core_finds_albedo_slowly(unsigned model) {
@@ -107,10 +116,11 @@ bool core_finds_albedo_slowly(unsigned model) {
   return found != NULL && (parameters_of(found) & SLOW) != 0;
 }
 
-bool core_worth_keeping(unsigned model, unsigned evaluator) {
+bool core_worth_keeping(unsigned model, unsigned evaluator, const core_parameters *parameters) {
   const struct model *found = find_model(model);
   return found != NULL &&
-         (evaluator == CORE_EVALUATOR_LUT || (parameters_of(found) & (SLOW | COSTLY)) != 0);
+         (evaluator == CORE_EVALUATOR_LUT || (parameters_of(found) & (SLOW | COSTLY)) != 0 ||
+          (parameters != NULL && !isnan(parameters->value[CORE_PARAMETER_MHZ])));
 }
 
 /* ---- checking -------------------------------------------------------------------------------- */
@@ -513,6 +523,9 @@ static core_fault prepare(core_profile *profile, const struct model *model, core
       .radii = radii,
   };
   core_profile_set_angles(profile, inputs.parameters);
+  const size_t layer = (size_t)core_parameter_or(&inputs, CORE_PARAMETER_DERIVATIVE_LAYER, 1) - 1;
+  profile->path_sigma_a_per_mm = inputs.medium[layer].sigma_a_per_mm;
+  profile->path_index = core_parameter_or(&inputs, CORE_PARAMETER_INDEX, inputs.medium[layer].eta);
   inputs.variant = model->variant;
   const core_fault fault = evaluator == CORE_EVALUATOR_LUT
                                ? prepare_table(profile, model, inputs, radii)
@@ -524,6 +537,76 @@ static core_fault prepare(core_profile *profile, const struct model *model, core
   return fault;
 }
 
+/* ---- modulated light ------------------------------------------------------------------------- */
+
+/* Prepares the model for the medium of a node. least: sigma_a of the layer that absorbs least. share:
+ * its layers' indices over the largest one. */
+static core_fault prepare_node(core_profile *node, const struct model *model, core_inputs inputs,
+                               double more_per_mm, const double *share) {
+  core_medium medium[CORE_LAYERS_MAX];
+  for (uint32_t i = 0; i < inputs.parameters->layer_count; i++) {
+    medium[i] = inputs.medium[i];
+    medium[i].sigma_a_per_mm = fmax(0, medium[i].sigma_a_per_mm + more_per_mm * share[i]);
+  }
+  inputs.medium = medium;
+  core_radii_range radii;
+  core_fault fault = check(model, inputs.moments, CORE_EVALUATOR_F64, &inputs, &radii);
+  *node = (core_profile){.evaluator = CORE_EVALUATOR_F64};
+  fault = fault.field != NULL ? fault : prepare(node, model, inputs, radii);
+  const bool of_node = fault.field != NULL && strcmp(fault.field, CORE_FIELD_MEMORY) != 0 &&
+                       strcmp(fault.field, CORE_FIELD_STOPPED) != 0;
+  return of_node ? (core_fault){"mhz", "less: the model does not cover as much absorption", 0}
+                 : fault;
+}
+
+static core_fault prepare_modulation(core_profile *profile, const struct model *model,
+                                     core_inputs inputs) {
+  const double mhz = inputs.parameters->value[CORE_PARAMETER_MHZ];
+  const uint32_t layers = inputs.parameters->layer_count;
+  double share[CORE_LAYERS_MAX], index = 0, least = (double)INFINITY;
+  for (uint32_t i = 0; i < layers; i++) {
+    share[i] = core_parameter_or(&inputs, CORE_PARAMETER_INDEX, inputs.medium[i].eta);
+    index = fmax(index, share[i]);
+  }
+  for (uint32_t i = 0; i < layers; i++) {
+    share[i] /= index;
+    least = fmin(least, inputs.medium[i].sigma_a_per_mm / share[i]);
+  }
+  core_parameters parameters = *inputs.parameters;
+  parameters.value[CORE_PARAMETER_MHZ] = parameters.value[CORE_PARAMETER_DERIVATIVES] = (double)NAN;
+  if (profile->evaluator == CORE_EVALUATOR_LUT) {
+    parameters.value[CORE_PARAMETER_TOLERANCE] = (double)NAN; /* it is the table's */
+  }
+  inputs.parameters = &parameters;
+  core_modulation *made = profile->modulation = calloc(1, sizeof *made);
+  if (made == NULL) {
+    return CORE_OUT_OF_MEMORY;
+  }
+  if (!(mhz > 0)) {
+    return (core_fault){0};
+  }
+  core_modulation_place(made, (model->parameters & SOLVES) != 0, least,
+                        2e-6 * PI * mhz * index / CORE_LIGHT_SPEED_MM_PER_PS);
+  core_fault fault = {0};
+  for (unsigned i = 0; i < made->count && fault.field == NULL; i++) {
+    fault = prepare_node(&made->node[i], model, inputs, made->u[i] * made->u[i] - least, share);
+  }
+  return fault;
+}
+
+core_fault core_paths_check(unsigned wanted, const core_medium *medium,
+                            const core_parameters *parameters) {
+  const double layer = parameters->value[CORE_PARAMETER_DERIVATIVE_LAYER];
+  const size_t at = isnan(layer) ? 0 : (size_t)layer - 1;
+  if ((wanted & CORE_PATHS) != 0 && !(medium[at].sigma_a_per_mm > 0)) {
+    return (core_fault){"sigma_a", "above 0 with path, dpf and time: their limit is not computed",
+                        at};
+  }
+  return (wanted & CORE_MODULATED) != 0 && isnan(parameters->value[CORE_PARAMETER_MHZ])
+             ? (core_fault){"mhz", "a frequency: phase and modulation need it", 0}
+             : (core_fault){0};
+}
+
 static core_fault check_and_prepare(core_profile *profile, unsigned model, unsigned evaluator,
                                     const core_inputs *inputs) {
   const struct model *found = find_model(model);
@@ -533,7 +616,14 @@ static core_fault check_and_prepare(core_profile *profile, unsigned model, unsig
     return fault;
   }
   profile->evaluator = evaluator;
-  return prepare(profile, found, *inputs, radii);
+  core_fault made = prepare(profile, found, *inputs, radii);
+  if (made.field == NULL && !isnan(inputs->parameters->value[CORE_PARAMETER_MHZ])) {
+    made = prepare_modulation(profile, found, *inputs);
+    if (made.field != NULL) {
+      core_profile_free(profile);
+    }
+  }
+  return made;
 }
 
 core_fault core_profile_prepare(core_profile *profile, const core_isa *isa, unsigned model,

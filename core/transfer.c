@@ -19,6 +19,7 @@
 
 #include "core/filter.h"
 #include "core/kernels.h"
+#include "core/paths.h"
 
 #define CORE_REAL 64
 #include "core/kernel.h"
@@ -221,7 +222,8 @@ static bool transforms(const core_profile *profile, unsigned wanted) {
 double core_radius_cost(const core_profile *profile, unsigned wanted) {
   const core_profile *derives =
       core_wants_derivatives(wanted) && profile->source != NULL ? profile->source : profile;
-  return derives->cost + (transforms(profile, wanted) ? 60 : 0);
+  const unsigned nodes = (wanted & CORE_MODULATED) != 0 ? CORE_MODULATION_NODES_MAX : 0;
+  return derives->cost * (1 + nodes) + (transforms(profile, wanted) ? 60 : 0) + 20 * nodes;
 }
 
 double core_call_cost(const core_profile *profile, unsigned wanted) {

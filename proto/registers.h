@@ -32,7 +32,8 @@ enum {
   (CORE_QUANTITY_R | CORE_QUANTITY_ALBEDO | CORE_QUANTITY_CDF | CORE_QUANTITY_S | CORE_QUANTITY_T)
 
 /* PDU address of a parameter of core. */
-#define REGISTERS_PARAMETER_AT(id) ((id) == CORE_PARAMETER_TOLERANCE ? 104 : 216 + 2 * (id))
+#define REGISTERS_PARAMETER_AT(id)                                                                 \
+  ((id) == CORE_PARAMETER_TOLERANCE ? 104 : 216 + 2 * (id) + ((id) > 16 ? 6 : 0))
 
 enum {
   REGISTERS_BLOCKS = 0

@@ -66,6 +66,7 @@ const schema_structure schema_structures[SCHEMA_STRUCTURES] = {
 /* The quantities that have an array for each channel. */
 #define BIT_OF_ELEMENTWISE(bit) bit
 #define BIT_OF_COMPARED(bit) bit
+#define BIT_OF_DERIVED(bit) bit
 #define BIT_OF_CHANNEL(bit) 0
 #define BIT_OF_RADII(bit) 0
 #define CORE_QUANTITY(bit, IDENT, name, unit, SHAPE) | BIT_OF_##SHAPE(bit)

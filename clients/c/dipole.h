@@ -287,7 +287,19 @@ enum dipole_quantity {
    * For a medium that transport solves, it has it solved, which takes seconds; dipole_channel.model_error
    * is then known as well. */
   DIPOLE_MODEL_ERRORS = 8192,
-  DIPOLE_T = 16384 /* as R, of the light that leaves below the last layer; with transport */
+  DIPOLE_T = 16384, /* as R, of the light that leaves below the last layer; with transport */
+  /* The mean length of the paths in the medium of the light that leaves at r, mm, for models with
+   * derivatives and sigma_a above 0: -(d ln R / d sigma_a). Of layers it is that within the layer of
+   * the parameter derivative_layer. Then it over r, and the mean time on these paths in ps, by the
+   * parameter index (else eta). Their errors are absolute. */
+  DIPOLE_PATH = 32768,
+  DIPOLE_DPF = 65536,
+  DIPOLE_TIME = 131072,
+  /* How many degrees light lags that is modulated with the frequency of the parameter mhz, not
+   * reduced to a circle, and its amplitude over the mean, relative to that of the light that enters;
+   * for dipoles, single, their sums and transport. Their errors are absolute. */
+  DIPOLE_LAG = 262144, /* phase */
+  DIPOLE_MODULATION = 524288
 };
 enum dipole_spacing { DIPOLE_LIST = 1, DIPOLE_LINEAR = 2, DIPOLE_LOGARITHMIC = 3 };
 
@@ -360,7 +372,7 @@ typedef struct dipole_errors {
 typedef struct dipole_channel {
   double albedo; /* NaN if it was not wanted */
   /* A value at radius r is off from the model's formula by at most
-   * numerical_error + numerical_error_per_mm * r, relative; for ln R and its derivatives this error
+   * numerical_error + numerical_error_per_mm * r, relative; for ln R, its derivatives, paths and modulated light this error
    * is absolute. */
   double numerical_error;
   double numerical_error_per_mm;

@@ -570,8 +570,9 @@ static void put_line(cli_rows *rows, const void *context, size_t index) {
   const size_t channels = report->profile.channel_count, each = lines_of(report, true);
   const double *wavelengths_nm = lists_wavelengths(report) ? report->profile.wavelengths_nm : NULL;
   /* Shares of 1, radii and logarithms are written without exponent; other values may have one. */
-  const unsigned plain =
-      DIPOLE_RADIUS | DIPOLE_CDF | DIPOLE_LN_R | DIPOLE_BY_SIGMA_A | DIPOLE_BY_SIGMA_S;
+  const unsigned plain = DIPOLE_RADIUS | DIPOLE_CDF | DIPOLE_LN_R | DIPOLE_BY_SIGMA_A |
+                         DIPOLE_BY_SIGMA_S | DIPOLE_PATH | DIPOLE_DPF | DIPOLE_TIME | DIPOLE_LAG |
+                         DIPOLE_MODULATION;
   if (wavelengths_nm != NULL) {
     cli_put_number(rows, wavelengths_nm[index], "wavelength", .unit = "nm");
   } else {
@@ -619,9 +620,9 @@ static void write_table(const void *context) {
   }
   printf("\nmodel error: the largest, of the model against radiative transport%s\n",
          report->diverges ? ", at r > 0: transport diverges at r = 0" : "");
-  puts(
-      "errors are relative, but of ln R and its derivatives absolute, as the cdf's model error is, "
-      "and\nof R_f over the albedo");
+  puts("errors are relative, but of ln R, its derivatives, paths and modulated light absolute, as "
+       "the\n"
+       "cdf's model error is, and of R_f over the albedo");
   cli_write_launched(profile->media, profile->channel_count, profile->layer_count);
   unsigned notes = 0;
   for (size_t i = 0; i < report->model_count; i++) {

@@ -39,7 +39,8 @@ wire_error choice_check(const eval_request *request) {
     return wire_error_make(WIRE_STATUS_BAD_VALUE, "model",
                            "a model of the list; 0 with the parameter tolerance alone");
   }
-  if (core_wants_derivatives(request->fixed.wanted)) {
+  if (core_wants_derivatives(request->fixed.wanted) ||
+      (request->fixed.wanted & CORE_MODULATED) != 0) {
     return wire_error_make(WIRE_STATUS_BAD_VALUE, "wanted",
                            "no derivatives with a tolerance in place of a model");
   }
@@ -215,7 +216,8 @@ bool choice_heeds_radii(const struct choice_state *state, const eval_request *re
   return !isnan(state->tolerance) ||
          (core_solves(request->fixed.model) && request->fixed.evaluator != CORE_EVALUATOR_LUT &&
           !isnan(value[CORE_PARAMETER_TOLERANCE]) && isnan(value[CORE_PARAMETER_GAMMA]) &&
-          !core_wants_derivatives(request->fixed.wanted));
+          !core_wants_derivatives(request->fixed.wanted) &&
+          (request->fixed.wanted & CORE_MODULATED) == 0);
 }
 
 /* Returns the error of the table of solutions for a medium. */

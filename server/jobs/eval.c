@@ -37,6 +37,10 @@ static wire_error check_media(struct eval_job *eval, core_radii_range *radii) {
         fixed->model != CORE_MODEL_TRANSPORT) {
       fault = (core_fault){"wanted", "no T: this model has only R; transport has both", 0};
     }
+    if (fault.field == NULL) {
+      fault = core_paths_check(fixed->wanted, eval_job_medium(eval, channel),
+                               &eval->request.parameters);
+    }
     if (fault.field != NULL) {
       fault.index += (size_t)channel * fixed->layer_count;
       return job_error(fault);

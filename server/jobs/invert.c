@@ -90,7 +90,7 @@ static enum job_outcome start_invert(struct job *job, const struct job_request *
     const core_parameters none = core_parameters_none();
     const bool solved = invert->inverter.light != CORE_LIGHT_BEAM ||
                         core_prepares_slowly(fixed->model, CORE_EVALUATOR_F64, &medium, &none);
-    const bool costly = core_worth_keeping(fixed->model, CORE_EVALUATOR_F64);
+    const bool costly = core_worth_keeping(fixed->model, CORE_EVALUATOR_F64, NULL);
     invert->probe_radii = invert->slow ? SLOW_PROBE_RADII
                           : solved     ? SOLVED_PROBE_RADII
                           : costly     ? COSTLY_PROBE_RADII

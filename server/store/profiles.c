@@ -231,7 +231,7 @@ static enum lookup_state get_profile(struct profiles *profiles, struct profiles_
   if (slot != NULL) {
     return get_from_table(profiles, lookup, slot);
   }
-  return core_worth_keeping(lookup->key.model, lookup->key.evaluator)
+  return core_worth_keeping(lookup->key.model, lookup->key.evaluator, &lookup->parameters)
              ? get_from_cache(profiles, lookup, medium)
              : prepare_here(profiles, lookup);
 }

@@ -26,6 +26,7 @@ enum plain_fate { PLAIN_REFLECTED, PLAIN_TRANSMITTED, PLAIN_INSIDE };
 typedef struct plain_photon {
   double x, y, z;
   double ux, uy, uz;
+  double path; /* its length so far */
   double weight;
   bool scattered;
   enum plain_fate fate;
@@ -58,6 +59,7 @@ static inline bool plain_fly(const plain_medium *medium, plain_photon *p, uint64
     const double height = p->uz < 0 ? p->z : medium->thickness - p->z;
     const double way = p->uz == 0 ? (double)INFINITY : height / fabs(p->uz);
     const double flown = fmin(way, path);
+    p->path += flown;
     p->x += p->ux * flown;
     p->y += p->uy * flown;
     if (way >= path) {

@@ -205,7 +205,8 @@ static bool is_due(const core_choice *model, const core_choice *evaluator,
 
 /* Whether core_eval_f64() has a quantity: model errors are computed from two profiles. */
 static bool is_evaluated(unsigned quantity) {
-  return core_quantity_elementwise(quantity) && quantity != CORE_QUANTITY_MODEL_ERRORS;
+  return core_quantity_elementwise(quantity) &&
+         (quantity & (CORE_QUANTITY_MODEL_ERRORS | CORE_PATHS | CORE_MODULATED)) == 0;
 }
 
 /* Prints a checksum for each evaluator of transport with tissue's g, from the table of

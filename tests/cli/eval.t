@@ -21,8 +21,8 @@ better     green       0.17     0.88  0  1.3   0.162793          1.5e-14      2.
 better     blue        0.48     1.01  0  1.3  0.0701464          2.6e-14      3.9e-01        f64
 numerical error: at most, against the model's formula, at r = 0 to 10 mm
 model error: the largest, of the model against radiative transport, at r > 0: transport diverges at r = 0
-errors are relative, but of ln R and its derivatives absolute, as the cdf's model error is, and
-of R_f over the albedo
+errors are relative, but of ln R, its derivatives, paths and modulated light absolute, as the
+cdf's model error is, and of R_f over the albedo
 per unit of power launched: values times 1 - ((eta - 1) / (eta + 1))^2 = 0.982987 (eta 1.3)
 
 $ dipole eval --medium skin1 --model classical,better --count 3 --format csv
@@ -79,8 +79,8 @@ better  1           0.01       10  0.9  1.4          2.7e-15      2.3e-02       
 better  2            0.1       10  0.9  1.4          4.6e-15      1.9e-02        f64  similarity
 numerical error: at most, against the model's formula, at r = 2 mm
 model error: the largest, of the model against radiative transport
-errors are relative, but of ln R and its derivatives absolute, as the cdf's model error is, and
-of R_f over the albedo
+errors are relative, but of ln R, its derivatives, paths and modulated light absolute, as the
+cdf's model error is, and of R_f over the albedo
 per unit of power launched: values times 1 - ((eta - 1) / (eta + 1))^2 = 0.972222 (eta 1.4)
 note: similarity: g is not 0: the model uses isotropic scattering with sigma_s (1 - g)
 
@@ -161,8 +161,8 @@ model   channel  sigma_a  sigma_s    g  eta    albedo  numerical error  model er
 better  1           0.01       10  0.9  1.4  0.605953          1.0e-09      3.5e-02        f64  similarity
 numerical error: at most, against the model's formula, at f = 0.1 to 1 1/mm
 model error: the largest, of the model against radiative transport
-errors are relative, but of ln R and its derivatives absolute, as the cdf's model error is, and
-of R_f over the albedo
+errors are relative, but of ln R, its derivatives, paths and modulated light absolute, as the
+cdf's model error is, and of R_f over the albedo
 per unit of power launched: values times 1 - ((eta - 1) / (eta + 1))^2 = 0.972222 (eta 1.4)
 note: similarity: g is not 0: the model uses isotropic scattering with sigma_s (1 - g)
 
@@ -216,8 +216,8 @@ transport  green       0.17     0.88  0  1.3  0.213259          3.3e-06      0.0
 transport  blue        0.48     1.01  0  1.3  0.115435          3.3e-06      0.0e+00        f32
 numerical error: at most, against the model's formula, at r = 1 to 2 mm
 model error: the largest, of the model against radiative transport
-errors are relative, but of ln R and its derivatives absolute, as the cdf's model error is, and
-of R_f over the albedo
+errors are relative, but of ln R, its derivatives, paths and modulated light absolute, as the
+cdf's model error is, and of R_f over the albedo
 per unit of power launched: values times 1 - ((eta - 1) / (eta + 1))^2 = 0.982987 (eta 1.3)
 took transport (f32), the cheapest that keeps the tolerance
 
@@ -245,8 +245,8 @@ model   channel  sigma_a  sigma_s  g  eta  numerical error  model error  evaluat
 better  1          0.032     0.74  0  1.3          4.6e-15      1.4e-02        f64
 numerical error: at most, against the model's formula, at r = 1 mm
 model error: the largest, of the model against radiative transport
-errors are relative, but of ln R and its derivatives absolute, as the cdf's model error is, and
-of R_f over the albedo
+errors are relative, but of ln R, its derivatives, paths and modulated light absolute, as the
+cdf's model error is, and of R_f over the albedo
 per unit of power launched: values times 1 - ((eta - 1) / (eta + 1))^2 = 0.982987 (eta 1.3)
 
 $ dipole eval --sigma-a 0.032 --sigma-s 0.74 --model better --r 1 --wanted S --cos-in 0.8 --format json
@@ -313,8 +313,8 @@ model      channel  sigma_a  sigma_s  g  eta    albedo  numerical error  model e
 classical  1           0.03        1  0    5  0.361207          2.8e-15   not solved        f64
 numerical error: at most, against the model's formula
 model error: the largest, of the model against radiative transport
-errors are relative, but of ln R and its derivatives absolute, as the cdf's model error is, and
-of R_f over the albedo
+errors are relative, but of ln R, its derivatives, paths and modulated light absolute, as the
+cdf's model error is, and of R_f over the albedo
 per unit of power launched: values times 1 - ((eta - 1) / (eta + 1))^2 = 0.555556 (eta 5)
 
 $ dipole eval --sigma-a 0.03 --sigma-s 1 --model better --wanted R --r 0
@@ -332,8 +332,8 @@ model   channel  sigma_a  sigma_s  g  eta  numerical error  model error  evaluat
 better  1           0.03        1  0  1.3          2.3e-15     diverges        f64
 numerical error: at most, against the model's formula
 model error: the largest, of the model against radiative transport, at r > 0: transport diverges at r = 0
-errors are relative, but of ln R and its derivatives absolute, as the cdf's model error is, and
-of R_f over the albedo
+errors are relative, but of ln R, its derivatives, paths and modulated light absolute, as the
+cdf's model error is, and of R_f over the albedo
 per unit of power launched: values times 1 - ((eta - 1) / (eta + 1))^2 = 0.982987 (eta 1.3)
 
 $ dipole eval --sigma-a 0.03 --sigma-s 1 --model better --wanted R --r 0,1
@@ -352,8 +352,8 @@ model   channel  sigma_a  sigma_s  g  eta  numerical error  model error  evaluat
 better  1           0.03        1  0  1.3          2.8e-15      1.3e-01        f64
 numerical error: at most, against the model's formula, at r = 0 to 1 mm
 model error: the largest, of the model against radiative transport, at r > 0: transport diverges at r = 0
-errors are relative, but of ln R and its derivatives absolute, as the cdf's model error is, and
-of R_f over the albedo
+errors are relative, but of ln R, its derivatives, paths and modulated light absolute, as the
+cdf's model error is, and of R_f over the albedo
 per unit of power launched: values times 1 - ((eta - 1) / (eta + 1))^2 = 0.982987 (eta 1.3)
 
 $ dipole eval --sigma-a 0.03 --sigma-s 1 --model transport --wanted R,2_pi_r_R --r 0,1
@@ -373,8 +373,8 @@ model      channel  sigma_a  sigma_s  g  eta  numerical error  model error  nume
 transport  1           0.03        1  0  1.3          8.5e-05      0.0e+00          8.5e-05      0.0e+00        lut
 numerical error: at most, against the model's formula, at r = 0 to 1 mm
 model error: the largest, of the model against radiative transport
-errors are relative, but of ln R and its derivatives absolute, as the cdf's model error is, and
-of R_f over the albedo
+errors are relative, but of ln R, its derivatives, paths and modulated light absolute, as the
+cdf's model error is, and of R_f over the albedo
 per unit of power launched: values times 1 - ((eta - 1) / (eta + 1))^2 = 0.982987 (eta 1.3)
 
 ## What all models refuse is said once, and who refuses by itself is left out.
@@ -453,8 +453,8 @@ model   channel  sigma_a  sigma_s  g  eta  albedo  numerical error  model error 
 better  1              0        1  0  1.3       1          1.8e-15      8.8e-01        f64
 numerical error: at most, against the model's formula, at r = 0 to 1000 mm
 model error: the largest, of the model against radiative transport, at r > 0: transport diverges at r = 0
-errors are relative, but of ln R and its derivatives absolute, as the cdf's model error is, and
-of R_f over the albedo
+errors are relative, but of ln R, its derivatives, paths and modulated light absolute, as the
+cdf's model error is, and of R_f over the albedo
 per unit of power launched: values times 1 - ((eta - 1) / (eta + 1))^2 = 0.982987 (eta 1.3)
 
 $ dipole eval --model transport --sigma-a 0.01 --sigma-s 10 --g 0.9 --eta 1.4 --from 1 --to 4 --deadline-ms 1; dipole eval --sigma-a 0.01 --sigma-s 10 --count 2 --deadline-ms 4294967295 --format csv

@@ -78,6 +78,8 @@ parameters,gamma,"1: (1 - g_2) / (1 - g) of the phase function, with transport; 
 parameters,detector_na,"1: of fit with transport, and of mc: sine of the largest detected exit angle; else 1 (0.01 to 1)"
 parameters,eta_below,"1: with transport: index below a last layer of finite thickness; else 1 (0.25 to 4)"
 parameters,derivative_layer,"1: with transport: number of the layer of dlnR_dln_*, an integer; else 1, the top one (1 to 8)"
+parameters,index,"1: refractive index for the speed of light; else eta (0.25 to 8)"
+parameters,mhz,MHz: frequency of modulated light (0 to 100000)
 limits,max_frame_bytes,67108864
 
 $ dipole info | head -9 | grep -v 'instruction_set\|protocol'

@@ -46,7 +46,7 @@ $ dipole plot --medium skin1 --channel red --model better,transport --count 60 -
                          +..*..+better    +..o..+transport
 
 $ dipole eval --medium skin1 --model better --r 0.1,1,2 --plot - | tail -24
-of R_f over the albedo
+cdf's model error is, and of R_f over the albedo
 per unit of power launched: values times 1 - ((eta - 1) / (eta + 1))^2 = 0.982987 (eta 1.3)
 
                  skin1: R (1/mm^2 per unit of power that entered)
@@ -82,7 +82,7 @@ $ dipole plot --medium skin1 --axes log
 ? 2
 
 $ dipole plot --medium skin1 --quantity colour
-! dipole plot: --quantity: 'colour' is unknown; this daemon has R, albedo, cdf, r, dR_dr, ln_R, pdf, 2_pi_r_R, S, R_f, dlnR_dln_sigma_a, dlnR_dln_sigma_s, model_error, model_errors, T
+! dipole plot: --quantity: 'colour' is unknown; this daemon has R, albedo, cdf, r, dR_dr, ln_R, pdf, 2_pi_r_R, S, R_f, dlnR_dln_sigma_a, dlnR_dln_sigma_s, model_error, model_errors, T, path, dpf, time, phase, modulation
 ! `dipole plot --help` says more.
 ? 2
 

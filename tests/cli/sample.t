@@ -18,8 +18,8 @@ better  green       0.17     0.88  0  1.3          2.9e-15      1.0e+00        f
 better  blue        0.48     1.01  0  1.3          3.3e-15      1.2e+00        f64
 numerical error: at most, against the model's formula
 model error: the largest, of the model against radiative transport
-errors are relative, but of ln R and its derivatives absolute, as the cdf's model error is, and
-of R_f over the albedo
+errors are relative, but of ln R, its derivatives, paths and modulated light absolute, as the
+cdf's model error is, and of R_f over the albedo
 per unit of power launched: values times 1 - ((eta - 1) / (eta + 1))^2 = 0.982987 (eta 1.3)
 
 $ dipole sample --medium skin1 --channel red --u 0,0.25,0.5,1 --model better --format csv

@@ -36,6 +36,6 @@ model      channel    sigma_a  sigma_s  g  eta    albedo  numerical error  model
 transport  skin1 red    0.032     0.74  0  1.3  0.439458          8.3e-05      0.0e+00        lut
 numerical error: at most, against the model's formula, at r = 1 mm
 model error: the largest, of the model against radiative transport
-errors are relative, but of ln R and its derivatives absolute, as the cdf's model error is, and
-of R_f over the albedo
+errors are relative, but of ln R, its derivatives, paths and modulated light absolute, as the
+cdf's model error is, and of R_f over the albedo
 per unit of power launched: values times 1 - ((eta - 1) / (eta + 1))^2 = 0.982987 (eta 1.3)

@@ -48,8 +48,8 @@ wavelength   model    sigma_a  sigma_s    g  eta    albedo  numerical error  mod
        850  better  0.0325848  21.6531  0.9  1.4  0.543068          6.2e-15      3.4e-02        f64  similarity
 numerical error: at most, against the model's formula, at r = 1 to 5 mm
 model error: the largest, of the model against radiative transport
-errors are relative, but of ln R and its derivatives absolute, as the cdf's model error is, and
-of R_f over the albedo
+errors are relative, but of ln R, its derivatives, paths and modulated light absolute, as the
+cdf's model error is, and of R_f over the albedo
 per unit of power launched: values times 1 - ((eta - 1) / (eta + 1))^2 = 0.972222 (eta 1.4)
 note: similarity: g is not 0: the model uses isotropic scattering with sigma_s (1 - g)
 

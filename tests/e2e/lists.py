@@ -71,7 +71,10 @@ OTHER_PARAMETERS = {**MC_PARAMETERS, **FIT_PARAMETERS}
 PARAMETERS = {name: one for name, (one, _) in _PARAMETERS.items() if name not in OTHER_PARAMETERS}
 NOTES = choices("CORE_NOTE")
 QUANTITIES = choices("CORE_QUANTITY")
-DERIVATIVES = QUANTITIES["dlnR_dln_sigma_a"] | QUANTITIES["dlnR_dln_sigma_s"]
+DERIVATIVES = sum(
+    QUANTITIES[name] for name in ("dlnR_dln_sigma_a", "dlnR_dln_sigma_s", "path", "dpf", "time")
+)
+MODULATED = QUANTITIES["phase"] | QUANTITIES["modulation"]  # with the parameter mhz
 
 
 def has_derivatives(model: str) -> bool:

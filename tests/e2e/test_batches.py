@@ -223,6 +223,7 @@ STEADY = {
         "model": MODELS["better"],
         "media": [SKIN] * 3,
         "wanted": sum(QUANTITIES.values()),
+        "parameters": [(PARAMETERS["mhz"].id, 100.0)],
     },
     "by rule": {"model": MODELS["better"], "evaluator": F32, "radii": None, "radius_count": 16},
     "transport by table": {"model": MODELS["transport"], "evaluator": LUT, "radii": [0.5] * 16},

@@ -12,7 +12,7 @@ from dipole import wire
 from frames import (
     EVAL, F32, PING, R, ask, assert_closed, assert_daemon_serves, assert_error, eval_payload, frame,
 )
-from lists import DERIVATIVES, EVALUATORS, MODELS, PARAMETERS, QUANTITIES, has_derivatives
+from lists import DERIVATIVES, EVALUATORS, MODELS, MODULATED, PARAMETERS, QUANTITIES, has_derivatives, takes
 
 REPLY = EVAL | wire.REPLY
 MEDIA = [(0.032, 0.74, 0, 1.3), (0.17, 0.88, 0, 1.3), (0.48, 1.01, 0.3, 1.4)]
@@ -96,8 +96,10 @@ def test_answers_do_not_depend_on_the_cache(daemon, model):
     wanted = sum(QUANTITIES.values())
     if not has_derivatives(model):
         wanted -= DERIVATIVES
+    mhz = [(PARAMETERS["mhz"].id, value) for value in (100.0, 200.0) if "mhz" in takes(model)]
     requests = [
-        payload(model, some, wanted=wanted),
+        payload(model, some, wanted=wanted - MODULATED),
+        *(payload(model, some, wanted=MODULATED, parameters=[one]) for one in mhz),
         payload(model, some[::-1], wanted=R, evaluator=F32),
         payload(model, [(0.1, 1.0, -0.0, 1.3), (0.1, 1.0, 0.0, 1.3)]),
     ]

@@ -321,6 +321,7 @@ COUNTS = [0, 2**16 - 1, 2**29, 2**31, 2**32 - 1, 2**53 + 1, 2**60, 2**61, 2**62,
 GOOD = {
     ("hello", "version_max"), ("mc", "seed"), ("sample", "seed"), ("sample", "sample_first"),
     ("sample", "sample_count"), ("cancel", "job_id"), ("mc", "photons"), ("points", "point_count"),
+    ("eval", "wanted"), ("sample", "wanted"),
 }  # fmt: skip
 
 

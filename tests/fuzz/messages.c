@@ -175,7 +175,7 @@ static void check_values(const uint8_t *values, uint64_t count, unsigned evaluat
                          unsigned quantity) {
   enum {
     ANY_SIGN = CORE_QUANTITY_LN_R | CORE_QUANTITY_SLOPE | CORE_QUANTITY_BY_SIGMA_A |
-               CORE_QUANTITY_BY_SIGMA_S
+               CORE_QUANTITY_BY_SIGMA_S | CORE_PATHS | CORE_MODULATED
   };
   const bool any_sign = (quantity & ANY_SIGN) != 0;
   for (uint64_t i = 0; i < count; i++) {

@@ -5,14 +5,16 @@
 
 /* ---- replies ------------------------------------------------------------------------------ */
 
-enum { ALL_QUANTITIES = 16383 };
+enum { ALL_QUANTITIES = 1048575 };
 
 /* The quantities that have an array for each channel, in the order of the arrays. */
 static const enum core_quantity order[] = {
-    CORE_QUANTITY_R,          CORE_QUANTITY_CDF,         CORE_QUANTITY_SLOPE,
-    CORE_QUANTITY_LN_R,       CORE_QUANTITY_PDF,         CORE_QUANTITY_RING,
-    CORE_QUANTITY_S,          CORE_QUANTITY_TRANSFER,    CORE_QUANTITY_BY_SIGMA_A,
-    CORE_QUANTITY_BY_SIGMA_S, CORE_QUANTITY_MODEL_ERRORS};
+    CORE_QUANTITY_R,          CORE_QUANTITY_CDF,          CORE_QUANTITY_SLOPE,
+    CORE_QUANTITY_LN_R,       CORE_QUANTITY_PDF,          CORE_QUANTITY_RING,
+    CORE_QUANTITY_S,          CORE_QUANTITY_TRANSFER,     CORE_QUANTITY_BY_SIGMA_A,
+    CORE_QUANTITY_BY_SIGMA_S, CORE_QUANTITY_MODEL_ERRORS, CORE_QUANTITY_T,
+    CORE_QUANTITY_PATH,       CORE_QUANTITY_DPF,          CORE_QUANTITY_TIME,
+    CORE_QUANTITY_PHASE,      CORE_QUANTITY_MODULATION};
 enum { ORDER = sizeof order / sizeof order[0] };
 
 static bool has(unsigned wanted, enum core_quantity quantity) {

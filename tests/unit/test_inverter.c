@@ -101,7 +101,8 @@ UNIT_TEST(coefficients_come_back) {
       const size_t layers = core_measured_media[i].layer_count;
       const core_medium *measured = &core_measured_media[i].channel[c * layers + layers - 1];
       const core_medium similar = {measured->sigma_a_per_mm,
-                                   measured->sigma_s_per_mm * (1 - measured->g), 0, measured->eta, 0};
+                                   measured->sigma_s_per_mm * (1 - measured->g), 0, measured->eta,
+                                   0};
       const core_medium *medium = &similar;
       const double path_mm = 1 / (medium->sigma_a_per_mm + medium->sigma_s_per_mm);
       const double albedo = albedo_of(CORE_MODEL_BETTER, CORE_MOMENTS_EXACT, medium);
@@ -252,7 +253,7 @@ UNIT_TEST(every_model_is_inverted_for_every_length) {
                     0); /* The skin- models are the same for every medium. */
         continue;
       }
-      const bool jumps = core_worth_keeping(model->id, CORE_EVALUATOR_F64);
+      const bool jumps = core_worth_keeping(model->id, CORE_EVALUATOR_F64, NULL);
       seek_albedos(&inverter, jumps ? PROBES_MOST : PROBES_USUAL);
       inverted++;
     }

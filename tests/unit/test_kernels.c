@@ -258,7 +258,8 @@ static void with_every_medium(size_t model, unsigned evaluator, pair_test *test,
   const bool all = unit_is_long() || test == compare_edges || test == compare_preparation;
   for (size_t medium = 0; medium < (all ? MEDIA : 2); medium++) {
     for (const core_choice *quantity = core_quantities; quantity->name != NULL; quantity++) {
-      if (core_quantity_elementwise(quantity->id) && quantity->id != CORE_QUANTITY_MODEL_ERRORS) {
+      const unsigned derived = CORE_QUANTITY_MODEL_ERRORS | CORE_PATHS | CORE_MODULATED;
+      if (core_quantity_elementwise(quantity->id) && (quantity->id & derived) == 0) {
         const operation todo = {quantity->id, quantity->name};
         with_every_isa(model, evaluator, medium, todo, test, random);
       }

@@ -150,14 +150,14 @@ UNIT_TEST(what_has_been_evicted_is_not_held) {
 UNIT_TEST(the_list_knows_what_is_worth_keeping) {
   for (const core_choice *model = core_models; model->name != NULL; model++) {
     if (core_prepares_slowly(model->id, CORE_EVALUATOR_F64, NULL, NULL)) {
-      assert_true(core_worth_keeping(model->id, CORE_EVALUATOR_F64));
+      assert_true(core_worth_keeping(model->id, CORE_EVALUATOR_F64, NULL));
       continue;
     }
     const core_medium medium = unit_medium(model->id, &SKIN);
     core_profile profile = unit_profile(model->id, CORE_EVALUATOR_F64, &medium, NULL);
-    assert_true(core_worth_keeping(model->id, CORE_EVALUATOR_F64) ==
+    assert_true(core_worth_keeping(model->id, CORE_EVALUATOR_F64, NULL) ==
                 (core_profile_bytes(&profile) > 1024));
     core_profile_free(&profile);
   }
-  assert_false(core_worth_keeping(0, CORE_EVALUATOR_LUT));
+  assert_false(core_worth_keeping(0, CORE_EVALUATOR_LUT, NULL));
 }

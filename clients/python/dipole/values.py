@@ -219,7 +219,7 @@ class Errors(NamedTuple):
     """How far the values of a quantity may be off, for C channels."""
 
     # A value at radius r is within numerical_error + numerical_error_per_mm r of the model's formula,
-    # relative, for ln R and its derivatives absolute.
+    # relative, for ln R, its derivatives, paths and modulated light absolute.
     numerical_error: Array  # [C]
     numerical_error_per_mm: Array  # [C] 1/mm
     # [C] error of the model against transport at the query's radii; NaN: not known
@@ -357,6 +357,14 @@ class Result(_Evaluated):
         "dlnR_dln_sigma_s",
         "[C, N]: d ln R / d ln sigma_s, which is also that by ln sigma_s'.",
     )
+    path = _Quantity(
+        "path",
+        "[C, N] mm: mean length of the paths in the medium, or in the layer derivative_layer.",
+    )
+    dpf = _Quantity("dpf", "[C, N]: path / r, the differential path length factor.")
+    time = _Quantity("time", "[C, N] ps: mean time on these paths, by the parameter index.")
+    phase = _Quantity("phase", "[C, N] degrees: lag of light modulated with the parameter mhz.")
+    modulation = _Quantity("modulation", "[C, N]: what is left of that modulation, at most 1.")
     model_errors = _Quantity(
         "model_errors",
         "[C, N]: model_error at each radius; a medium that transport solves takes seconds.",
@@ -366,7 +374,7 @@ class Result(_Evaluated):
         self, r: Array | float | None = None, quantity: str | None = None
     ) -> Array:
         """Returns how far a value at radius r may be from the model's exact formula: [C, N],
-        relative, for ln R and its derivatives absolute. r: [N] mm; the default is the result's own
+        relative, for ln R, its derivatives, paths and modulated light absolute. r: [N] mm; the default is the result's own
         radii. quantity: its name, such as "R"; None takes the largest of all wanted ones."""
         chosen = [self.errors[quantity]] if quantity is not None else list(self.errors.values())
         constants = np.max([one.numerical_error for one in chosen], axis=0)
