@@ -19,6 +19,7 @@ $(call unit,test_choice): $(call objects,server/jobs/choice.c $(wildcard server/
 $(call unit,test_histogram): $(call objects,server/observe/latency.c)
 $(call unit,test_input): $(call objects,server/net/buffers.c)
 $(call unit,test_modbus): $(call objects,server/net/access.c $(addprefix server/modbus/,codec.c receiver.c))
+$(call unit,test_scpi): $(call objects,server/scpi/parse.c)
 $(call unit,test_worker): $(filter-out $(OBJ)/server/main.o,$(SERVER))
 $(call unit,test_cache test_choice test_profiles test_histogram test_input): TEST_LIBS = $(call libs,libuv)
 $(call unit,test_worker): TEST_LIBS = $(SERVER_LIBS)

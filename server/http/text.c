@@ -71,8 +71,8 @@ char *http_text_room(struct http_text *text, size_t bytes) {
 }
 
 void http_text_add(struct http_text *text, const char *bytes, size_t count) {
-  char *at = room(text, count);
-  if (at != NULL && count > 0) {
+  char *at = count > 0 ? room(text, count) : NULL;
+  if (at != NULL) {
     memcpy(at, bytes, count);
     text->count += count;
   }

@@ -128,7 +128,7 @@ static bool is_repeated(const struct addrinfo *list, const struct addrinfo *addr
 
 const char *tcp_why_not(int error) {
   return error == EADDRINUSE ? "Address already in use: end the program that has it, or give "
-                               "another address (--listen, --http, --metrics or --modbus)"
+                               "another address (--listen, --http, --metrics, --modbus or --scpi)"
                              : strerror(error);
 }
 

@@ -410,6 +410,7 @@ static void set_usual(const schema_structure *structure, void *to) {
 _Static_assert(sizeof(wire_eval_request) == WIRE_BYTES_eval_request &&
                    sizeof(fit_start) == WIRE_BYTES_fit_request + WIRE_BYTES_fit_design &&
                    sizeof(wire_mc_request) == WIRE_BYTES_mc_request &&
+                   sizeof(wire_mc_request) >= sizeof(wire_eval_request) &&
                    sizeof(wire_tissue_request) == WIRE_BYTES_tissue_request &&
                    sizeof(wire_medium) == sizeof(core_medium),
                "requests lie in memory as on the wire");
@@ -429,6 +430,10 @@ static void set_defaults(struct scpi_settings *to) {
   to->mc.ring_count = 50;
   to->mc.photons = 1000000;
   to->tissue.wavelength_count = 1;
+  set_usual(FIELDS_OF(medium), &to->reference);
+  for (int i = 0; i < CORE_LAYERS_MAX; i++) {
+    set_usual(FIELDS_OF(medium), &to->layers[i]);
+  }
   for (int i = 0; i < CORE_PROPERTIES_END; i++) {
     to->properties[i] = NAN;
   }
@@ -534,11 +539,10 @@ COMMAND(use_medium) {
   struct scpi_settings *settings = &s->settings;
   const bool listed = strchr(command->pattern, '<') != NULL; /* as LAYer<n> */
   const unsigned layer = listed ? unit->number : 1;
-  wire_medium *medium = &settings->layers[layer - 1];
   if (layer < 1 || layer > settings->layer_count + !unit->query || layer > CORE_LAYERS_MAX) {
     return fail_with(s, CONFLICT, "MEDium", "a layer that there is, or the next one, up to 8");
   }
-  const wire_medium before = *medium;
+  wire_medium *medium = &settings->layers[layer - 1], before = *medium;
   if (!use_structure(s, command, unit, medium) || unit->query) {
     return unit->query ? DONE : FAILED;
   }

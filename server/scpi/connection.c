@@ -114,6 +114,9 @@ static void drop_message(struct scpi_connection *c, int error, const char *what)
 
 /* Looks for the end of the first message. Returns whether it has arrived completely. */
 static bool find_message(struct scpi_connection *c) {
+  if (c->begin == c->input.count) {
+    return false;
+  }
   const char *from = c->input.bytes + c->begin;
   const size_t count = c->input.count - c->begin;
   if (c->message_bytes == 0 && count > c->scan.at && scpi_scan(&c->scan, from, count, '\n')) {

@@ -15,6 +15,7 @@
   X(connection, fuzz_daemon_start)                                                                 \
   X(modbus, fuzz_modbus_start)                                                                     \
   X(rtu, fuzz_modbus_start)                                                                        \
+  X(scpi, fuzz_daemon_start)                                                                       \
   X(http, fuzz_daemon_start)                                                                       \
   X(table, fuzz_table_start)                                                                       \
   X(surface, fuzz_surface_start)                                                                   \
