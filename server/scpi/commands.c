@@ -416,7 +416,7 @@ _Static_assert(sizeof(wire_eval_request) == WIRE_BYTES_eval_request &&
                "requests lie in memory as on the wire");
 
 static void set_defaults(struct scpi_settings *to) {
-  *to = (struct scpi_settings){.tolerance = NAN};
+  *to = (struct scpi_settings){.parameters = core_parameters_none()};
   set_usual(FIELDS_OF(eval_request), &to->eval);
   set_usual(FIELDS_OF(fit_request), &to->fit.request);
   set_usual(FIELDS_OF(fit_design), &to->fit.design);
@@ -602,21 +602,19 @@ COMMAND(use_channel) {
              : FAILED;
 }
 
-COMMAND(use_tolerance) {
+COMMAND(use_parameter) {
+  double *at = &s->settings.parameters.value[command->number], value = NAN;
   struct scpi_parameter parameter;
-  double value = NAN;
-  (void)command;
   if (unit->query) {
-    return isnan(s->settings.tolerance) ? add_answer(s, ';', "OFF")
-                                        : answer_decimals(s, &s->settings.tolerance, 1, false);
+    return isnan(*at) ? add_answer(s, ';', "OFF") : answer_decimals(s, at, 1, false);
   }
   if (!take_parameter(s, unit, &parameter) || !took_all(s, unit) ||
       (!is_word(&parameter, "OFF") &&
        (!read_number(s, &parameter, NULL, &value) ||
-        !is_good(s, job_error(core_parameter_check(CORE_PARAMETER_TOLERANCE, value)))))) {
+        !is_good(s, job_error(core_parameter_check(command->number, value)))))) {
     return FAILED;
   }
-  s->settings.tolerance = value;
+  *at = value;
   return DONE;
 }
 
@@ -691,13 +689,15 @@ static enum outcome wait_for(struct scpi_session *s, const struct scpi_command *
 
 static enum outcome start_eval(struct scpi_session *s, const struct scpi_command *command,
                                const struct http_text *places) {
-  core_parameters parameters = core_parameters_none();
+  core_parameters parameters = s->settings.parameters;
   wire_eval_request start = s->settings.eval;
   schema_layout layout;
   if (!has_medium(s)) {
     return FAILED;
   }
-  parameters.value[CORE_PARAMETER_TOLERANCE] = s->settings.tolerance;
+  if ((command->number & (CORE_QUANTITY_PHASE | CORE_QUANTITY_MODULATION)) == 0) {
+    parameters.value[CORE_PARAMETER_MHZ] = NAN;
+  }
   start.wanted = (uint32_t)command->number | CORE_QUANTITY_MODEL_ERROR;
   start.layer_count = s->settings.layer_count;
   start.parameter_count = (uint16_t)schema_count_parameters(&parameters);

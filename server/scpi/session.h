@@ -41,7 +41,7 @@ struct scpi_settings {
   const core_measured_medium *named; /* whose channel the layers are; NULL: none */
   unsigned channel;                  /* from 1 on */
   wire_medium reference;
-  double tolerance;                       /* NaN: off */
+  core_parameters parameters;
   wire_tissue_request tissue;             /* without its counts */
   double properties[CORE_PROPERTIES_END]; /* NaN: as the tissue has it */
   double wavelength_nm;                   /* that the medium was made for */

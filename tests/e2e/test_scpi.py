@@ -99,7 +99,8 @@ GIVEN = {
     "FIT:REFerence": "0.1,9,0.9,1.4,0", "MEDium:TISSue": "liver", "MEDium:PROPerty": "HB_UM,10",
     "MEDium:TABLe": "ucl", "MEDium:WAVelength": "650", "MC:PHOTons": "8192", "MC:RINGs": "0,5,2",
     "MC:SPACing": "linear", "MC:SEED": "7", "MC:TARGet": "0.5", "R:DATA": "0.5,1", "R": "0.5,1",
-    "R:FREQuency": "0,0.1", "T": "0.5,1", "FORMat[:DATA]": "ASC", "FORMat:BORDer": "SWAP",
+    "R:FREQuency": "0,0.1", "T": "0.5,1", "PATH": "2,20",
+    "PATH:DPF": "20", "PATH:TIME": "20", "PHASe:FREQuency": "100", "PHASe": "20", "PHASe:MODulation": "20", "FORMat[:DATA]": "ASC", "FORMat:BORDer": "SWAP",
 }  # fmt: skip
 
 
@@ -192,6 +193,17 @@ def test_errors_of_values_are_known(shared, raw):
     raw.send(f"{MED};:MOD better;:EVAL F64")
     assert raw.ask("R? 1") == repr(float(known.R[0, 0]))
     assert raw.numbers("R:ERR?")[2] == known.model_error[0]
+
+
+def test_path_lengths_and_modulated_light(raw):
+    """By a random walk, of rings from 19 to 21 mm, and by diffusion with its ratio to transport."""
+    raw.send("MED 0.01,1,0,1.4;:EVAL F64;:PHAS:FREQ 100")
+    path, dpf, time_ps = map(float, raw.ask("PATH? 20;:PATH:DPF? 20;TIME? 20").split(";"))
+    assert path == pytest.approx(138.3, abs=1) and dpf == pytest.approx(path / 20)
+    assert time_ps == pytest.approx(1.4 * path / 0.299792458, rel=1e-6)
+    assert raw.numbers("PHAS? 20")[0] == pytest.approx(23.18, abs=0.1)
+    assert raw.numbers("PHAS:MOD? 20")[0] == pytest.approx(0.9779, abs=0.0005)
+    assert all(one < 0.1 for one in raw.numbers("R:ERR?")) and raw.numbers("R? 20")[0] > 0
 
 
 def test_layers_slabs_and_frequencies(shared, raw):
