@@ -14,7 +14,8 @@ from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
 TREE = HERE.parents[1]
-TEXTS = {"dipole-protocol": "proto/PROTOCOL.md", "dipole-registers": "proto/REGISTERS.md"}
+TEXTS = {"dipole-protocol": "proto/PROTOCOL.md", "dipole-registers": "proto/REGISTERS.md",
+         "dipole-scpi": "proto/SCPI.md"}
 SECTIONS = {"dipoled": 8, "dipole": 1, "libdipole": 3, **dict.fromkeys(TEXTS, 7)}
 OPTION = re.compile(r"  (--[a-z][a-z0-9-]*)(?: ([A-Z[]\S*))?(?: +(\S.*))?$")
 COMMAND = re.compile(r"  ([a-z][a-z0-9-]*)() +(\S.*)$")

@@ -10,7 +10,7 @@ import pytest
 from daemons import BUILD, REPOSITORY
 from installing import needs, run
 
-NAMES = {"dipoled.8", "dipole.1", "libdipole.3", "dipole-protocol.7", "dipole-registers.7"}
+NAMES = {"dipoled.8", "dipole.1", "libdipole.3", "dipole-protocol.7", "dipole-registers.7", "dipole-scpi.7"}
 FOLDER = REPOSITORY / "clients/packaging/man"
 PAGES = sorted(FOLDER.iterdir())
 
