@@ -813,7 +813,7 @@ typedef struct dipole_tissue_estimate {
   uint16_t status; /* enum dipole_fit_status */
   uint32_t zero;
   double value;     /* in the unit of the property; NaN if undetermined */
-  double error;     /* its standard error; infinity if undetermined or at a limit */
+  double error;     /* its standard error; infinity unless fitted or unfinished */
   double numerical; /* how far numerical errors of R may shift it */
 } dipole_tissue_estimate;
 

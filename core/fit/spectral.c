@@ -10,7 +10,7 @@
 #define CORE_REAL 64
 #include "core/kernel.h"
 
-enum { MOST = CORE_SPECTRAL_UNKNOWNS_MAX, CANDIDATES = 9, STARTS = 3, STEPS_MAX = 60 };
+enum { MOST = CORE_SPECTRAL_UNKNOWNS_MAX, CANDIDATES = 15, STARTS = 5, STEPS_MAX = 100 };
 
 /* A descent is settled after a step of fewer standard errors, and with logarithms, which only come
  * near, after one that lowers chi-squared by less than a reading's share. */
@@ -64,7 +64,7 @@ struct core_spectral {
   enum stage stage;
   unsigned evaluations;
   int candidate, left;
-  size_t start_count, next, minimum_count;
+  size_t next, minimum_count;
   struct minimum starts[STARTS], minima[STARTS];
   struct quadratic now;
   double damping;
@@ -433,35 +433,34 @@ static bool descend(core_spectral *of, bool *settled) {
   return *settled || --of->left <= 0 || of->damping > DAMPING_MOST;
 }
 
-/* Compares candidate i: the amounts and a are more and less than their starts. */
+/* Compares candidate i: the amounts and a are more and less than their starts. The best of each a is a
+ * start, since more and less scattering may give the same reading. */
 static void compare(core_spectral *of, int i) {
-  static const double amounts[] = {1, 0.25, 4}, scatterings[] = {0, -1.1, 1.1};
-  struct minimum one = {.settled = false};
+  static const double amounts[] = {1, 0.25, 4}, scatterings[] = {0, -1, 1, -2, 2};
+  struct minimum one = {.settled = false}, *start = &of->starts[i / 3];
   for (size_t k = 0; k < of->unknowns; k++) {
     const size_t term = of->term_of[k];
-    const double start = of->terms[term].start;
-    one.x[k] = clamp(term < of->chromophores    ? start * amounts[i % 3]
-                     : term == of->chromophores ? start + scatterings[i / 3]
-                                                : start,
+    const double from = of->terms[term].start;
+    one.x[k] = clamp(term < of->chromophores    ? from * amounts[i % 3]
+                     : term == of->chromophores ? from + scatterings[i / 3]
+                                                : from,
                      of->low[k], of->high[k]);
   }
-  bool known = false;
-  for (size_t k = 0; k < of->start_count; k++) {
-    known |= memcmp(of->starts[k].x, one.x, sizeof one.x) == 0;
+  const bool valid = expand(of, one.x, true, &of->now);
+  one.chi_squared = valid ? of->now.chi_squared : (double)INFINITY;
+  if (i % 3 == 0 || one.chi_squared < start->chi_squared) {
+    *start = one;
   }
-  if (known || !expand(of, one.x, true, &of->now)) {
-    return;
+}
+
+/* Whether the next start is none, or the same as another one. */
+static bool is_idle(const core_spectral *of) {
+  const struct minimum *next = &of->starts[of->next];
+  bool idle = !(next->chi_squared < (double)INFINITY);
+  for (size_t k = 0; k < of->next; k++) {
+    idle |= memcmp(of->starts[k].x, next->x, sizeof next->x) == 0;
   }
-  one.chi_squared = of->now.chi_squared;
-  size_t at = of->start_count < STARTS ? of->start_count++ : STARTS;
-  for (; at > 0 && one.chi_squared < of->starts[at - 1].chi_squared; at--) {
-    if (at < STARTS) {
-      of->starts[at] = of->starts[at - 1];
-    }
-  }
-  if (at < STARTS) {
-    of->starts[at] = one;
-  }
+  return idle;
 }
 
 static void keep_minimum(core_spectral *of, bool settled) {
@@ -518,7 +517,7 @@ bool core_spectral_begin(core_spectral *of, const core_fit *places, const double
   of->stage = COMPARES;
   of->evaluations = 0;
   of->candidate = 0;
-  of->start_count = of->next = of->minimum_count = 0;
+  of->next = of->minimum_count = 0;
   of->values = values;
   of->errors = errors;
   for (size_t i = 0; i < of->count; i++) {
@@ -540,7 +539,7 @@ bool core_spectral_begin(core_spectral *of, const core_fit *places, const double
 struct found {
   struct quadratic q;
   struct spectrum by;
-  bool settled;
+  bool settled, plausible;
 };
 
 /* Sets *error and *shift to the standard error of a number whose derivatives by the unknowns are
@@ -573,12 +572,13 @@ static void measure(const core_spectral *of, const struct found *at, const doubl
 }
 
 /* Returns the status of what has this error, which is to be below most_error. */
-static enum core_fit_status judge(bool settled, bool bound, double error, double shift,
+static enum core_fit_status judge(const struct found *at, bool bound, double error, double shift,
                                   double most_error) {
-  return !(error < most_error)       ? CORE_FIT_STATUS_UNDETERMINED
-         : bound                     ? CORE_FIT_STATUS_AT_BOUND
-         : settled && shift <= error ? CORE_FIT_STATUS_FITTED
-                                     : CORE_FIT_STATUS_UNFINISHED;
+  return !(error < most_error)           ? CORE_FIT_STATUS_UNDETERMINED
+         : bound                         ? CORE_FIT_STATUS_AT_BOUND
+         : !at->plausible                ? CORE_FIT_STATUS_IMPLAUSIBLE
+         : at->settled && shift <= error ? CORE_FIT_STATUS_FITTED
+                                         : CORE_FIT_STATUS_UNFINISHED;
 }
 
 static core_spectral_estimate estimate(size_t term, enum core_fit_status status, double value,
@@ -587,9 +587,9 @@ static core_spectral_estimate estimate(size_t term, enum core_fit_status status,
       .term = term,
       .status = status,
       .value = status == CORE_FIT_STATUS_UNDETERMINED ? (double)NAN : value,
-      .error = status == CORE_FIT_STATUS_UNDETERMINED || status == CORE_FIT_STATUS_AT_BOUND
-                   ? (double)INFINITY
-                   : error,
+      .error = status == CORE_FIT_STATUS_FITTED || status == CORE_FIT_STATUS_UNFINISHED
+                   ? error
+                   : (double)INFINITY,
       .numerical = shift,
   };
 }
@@ -611,8 +611,7 @@ static void put_unknown(const core_spectral *of, const struct found *at, size_t 
     most = real_min(most, CORE_FIT_LN_ERROR_MAX);
   }
   const bool bound = at->q.outside || x <= of->low[k] || x >= of->high[k];
-  const enum core_fit_status status =
-      judge(at->settled, bound, error, shift, at->q.factor > 0 ? most : 0);
+  const enum core_fit_status status = judge(at, bound, error, shift, at->q.factor > 0 ? most : 0);
   const bool is_a = term == of->chromophores;
   const double value = is_a ? real_exp_signed(x) : x, scale = is_a ? value : 1;
   result->unknown[k] = estimate(term, status, value, scale * error, scale * shift);
@@ -630,7 +629,7 @@ static void put_haemoglobin(const core_spectral *of, const struct found *at,
   const core_spectral_estimate absent = {of->chromophores + 2, CORE_FIT_STATUS_UNDETERMINED, none,
                                          none, none};
   double by_share[MOST] = {0}, by_total[MOST] = {0}, row[MOST], error, shift;
-  bool sought = false, bound = at->q.outside;
+  bool sought = false, bound = at->q.outside, ambiguous = false;
   result->saturation = result->total = absent;
   if (of->oxy >= of->chromophores || of->deoxy >= of->chromophores) {
     return;
@@ -641,6 +640,7 @@ static void put_haemoglobin(const core_spectral *of, const struct found *at,
     if (of->term_of[k] == of->oxy || of->term_of[k] == of->deoxy) {
       sought = true;
       bound |= result->unknown[k].status == CORE_FIT_STATUS_AT_BOUND;
+      ambiguous |= result->unknown[k].status == CORE_FIT_STATUS_AMBIGUOUS;
       by_total[k] = 1;
       by_share[k] = (of->term_of[k] == of->oxy ? deoxy : -oxy) / (total * total);
     }
@@ -648,11 +648,11 @@ static void put_haemoglobin(const core_spectral *of, const struct found *at,
   if (sought && total > 0) {
     measure(of, at, by_share, &error, &shift, row);
     result->saturation =
-        estimate(absent.term, judge(at->settled, bound, error, shift, CORE_SPECTRAL_SHARE_MOST),
-                 oxy / total, error, shift);
+        estimate(absent.term, judge(at, bound, error, shift, CORE_SPECTRAL_SHARE_MOST), oxy / total,
+                 error, shift);
     measure(of, at, by_total, &error, &shift, row);
     result->total =
-        estimate(absent.term, judge(at->settled, bound, error, shift, total), total, error, shift);
+        estimate(absent.term, judge(at, bound, error, shift, total), total, error, shift);
   }
 }
 
@@ -674,18 +674,24 @@ static void set_model_errors(core_spectral *of, core_spectral_result *result) {
   }
 }
 
-/* Returns whether another minimum is a second solution: it fits nearly as well, and a fitted unknown
- * differs. */
-static bool is_second(const core_spectral *of, const struct minimum *best,
-                      const struct minimum *other, const core_spectral_result *result) {
-  bool apart = false;
-  for (size_t k = 0; k < of->unknowns; k++) {
+/* Takes another minimum that fits nearly as well for a second solution: fitted unknowns that differ there
+ * are ambiguous. Returns whether there are any. */
+static bool take_second(const core_spectral *of, const struct minimum *best,
+                        const struct minimum *other, core_spectral_result *result) {
+  const bool fits = other->settled && other->chi_squared < best->chi_squared + CORE_FIT_AMBIGUOUS;
+  bool second = false;
+  for (size_t k = 0; k < of->unknowns && fits; k++) {
+    core_spectral_estimate *one = &result->unknown[k];
     const double sd = sqrt(result->covariance[k * of->unknowns + k]);
-    const double unit = of->term_of[k] == of->chromophores ? result->unknown[k].value : 1;
-    apart |= result->unknown[k].status == CORE_FIT_STATUS_FITTED &&
-             fabs(other->x[k] - best->x[k]) * unit > APART * sd;
+    const double unit = of->term_of[k] == of->chromophores ? one->value : 1;
+    if (one->status == CORE_FIT_STATUS_FITTED &&
+        fabs(other->x[k] - best->x[k]) * unit > APART * sd) {
+      one->status = CORE_FIT_STATUS_AMBIGUOUS;
+      one->error = (double)INFINITY;
+      second = true;
+    }
   }
-  return apart && other->settled && other->chi_squared < best->chi_squared + CORE_FIT_AMBIGUOUS;
+  return second;
 }
 
 static double condition_of(const struct spectrum *by, size_t n) {
@@ -706,11 +712,15 @@ static void put_result(core_spectral *of, core_spectral_result *result, double *
   clear_result(of, (core_fault){0}, result, residuals);
   if (of->minimum_count == 0 || !expand(of, best->x, false, &at.q)) {
     result->status = CORE_FIT_STATUS_UNFINISHED;
+    for (size_t k = 0; k < of->unknowns; k++) {
+      result->unknown[k].status = CORE_FIT_STATUS_UNFINISHED;
+    }
     return;
   }
   const size_t n = of->unknowns, unknowns = n + of->fit->free_factor;
   const size_t spare = of->count > unknowns ? of->count - unknowns : 0;
   bool bound = false, vague = !(at.q.factor > 0), precise = true, second = false;
+  at.plausible = at.q.chi_squared <= fit_chi_squared_most(spare);
   decompose(&at.q, n, NULL, &at.by);
   set_model_errors(of, result);
   result->factor = at.q.factor;
@@ -723,16 +733,15 @@ static void put_result(core_spectral *of, core_spectral_result *result, double *
     vague |= result->unknown[k].status == CORE_FIT_STATUS_UNDETERMINED;
     precise &= result->unknown[k].status != CORE_FIT_STATUS_UNFINISHED;
   }
-  put_haemoglobin(of, &at, result);
   for (size_t i = 0; i < of->minimum_count; i++) {
-    second |= &of->minima[i] != best && is_second(of, best, &of->minima[i], result);
+    second |= take_second(of, best, &of->minima[i], result);
   }
+  put_haemoglobin(of, &at, result);
   double row[MOST], unused, error;
   measure(of, &at, at.q.along_factor, &error, &unused, row);
   result->factor_error =
       at.q.of_factor > 0 ? at.q.factor * sqrt(1 / at.q.of_factor + error * error) : 0;
-  result->status = fit_status(bound, at.q.chi_squared > fit_chi_squared_most(spare), vague,
-                              best->settled && precise, second);
+  result->status = fit_status(bound, !at.plausible, vague, best->settled && precise, second);
   for (size_t i = 0; residuals != NULL && i < of->count; i++) {
     residuals[i] = residual_of(of, &at.q, i).off;
   }
@@ -743,7 +752,9 @@ bool core_spectral_step(core_spectral *of, core_spectral_result *result, double 
   if (of->stage == COMPARES) {
     compare(of, of->candidate++);
     of->stage = of->candidate < CANDIDATES ? COMPARES : BEGINS;
-  } else if (of->stage == BEGINS && of->next < of->start_count) {
+  } else if (of->stage == BEGINS && of->next < STARTS && is_idle(of)) {
+    of->next++;
+  } else if (of->stage == BEGINS && of->next < STARTS) {
     begin_descent(of, true);
   } else if (of->stage == BEGINS) {
     of->stage = ENDS;

@@ -8,7 +8,7 @@
  * places, whose design (core/fit/fit.h, with of_spectra) evaluates R for all wavelengths.
  *
  * Method: chi-squared = sum ((value - factor R) / error)^2 is minimized by Levenberg's and
- * Marquardt's method in the amounts, ln a and b between their limits, from the best of nine starts,
+ * Marquardt's method in the amounts, ln a and b between their limits, from the best amounts for each of five a,
  * first with logarithmic residuals; an unknown factor is eliminated. The same readings give the same
  * bits on every machine. */
 #ifndef DIPOLED_CORE_FIT_SPECTRAL_H
@@ -44,7 +44,8 @@ typedef struct core_spectral_design {
 } core_spectral_design;
 
 /* What was found of a term, of the saturation or of the total: FITTED; UNDETERMINED (the value is
- * NAN); AT_BOUND (the value is a limit, or depends on one that is); both without error; or UNFINISHED (numerical errors of
+ * NAN); AT_BOUND (the value is a limit, or depends on one that is); AMBIGUOUS (another solution fits as well); IMPLAUSIBLE (as all of the set);
+ * these have no error; or UNFINISHED (numerical errors of
  * R may shift it by more than its standard error, or the search did not settle). */
 typedef struct core_spectral_estimate {
   size_t term; /* position in terms[] */

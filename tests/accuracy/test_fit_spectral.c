@@ -375,6 +375,32 @@ UNIT_TEST(one_reading_of_the_albedo_gives_the_saturation_alone) {
   assert_true(result.saturation.error < 0.02);
 }
 
+/* At one distance more and less scattering give nearly the same readings. */
+UNIT_TEST(two_solutions_at_one_distance_are_ambiguous) {
+  struct instrument of = instrument(twelve, 12);
+  uint64_t seed = 1;
+  double R[BANDS * PLACES], tissue[TERMS];
+  size_t ambiguous = 0;
+  memcpy(tissue, truth, sizeof tissue);
+  of.places = 1;
+  of.at[0] = 3;
+  of.error = 0.02;
+  prepare(&of);
+  for (tissue[A] = 0.5; tissue[A] < 6; tissue[A] *= 1.3) {
+    read_profiles(&of, tissue, R);
+    const core_spectral_result result = fit_noisy(&of, R, 0, &seed);
+    ambiguous += result.unknown[A - HBO2].status == CORE_FIT_STATUS_AMBIGUOUS;
+    for (size_t k = 0; k < TERMS; k++) {
+      const core_spectral_estimate *one = &result.unknown[k];
+      assert_true(one->status != CORE_FIT_STATUS_FITTED ||
+                  fabs(one->value - tissue[k]) < one->error);
+    }
+  }
+  printf("%zu of 10 ambiguous\n", ambiguous);
+  assert_true(ambiguous > 0);
+  finish(&of);
+}
+
 UNIT_TEST(an_amount_at_its_limit_is_said) {
   struct instrument of = instrument(twelve, 12);
   of.terms[HB] = (core_spectral_term){15, 0, 20};

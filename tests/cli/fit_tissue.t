@@ -20,13 +20,13 @@ shift a value; chi2 is the sum of the squares of (reading - fit) / error
 
 $ dipole fit bands.csv --unknown hbo2,hb=0:20,water,a,b --tissue fat=.3 --format csv
 sample,unknown,value,error,numerical,status,scale,scale_error,chi2,readings,condition,sample_status
-1,hbo2_uM,56.947614678314935,0.5454534953092047,0.13157841320970037,fitted,1,0,98.81299151914664,32,27.876915980929272,at-bound
-1,hb_uM,20,inf,0.08202275006480869,at-bound,1,0,98.81299151914664,32,27.876915980929272,at-bound
-1,water_fraction,0.6205440838097008,0.006502869330943732,0.001389465255281493,fitted,1,0,98.81299151914664,32,27.876915980929272,at-bound
-1,a_per_mm,2.227243271600382,0.03917850456882907,0.008149582905422358,fitted,1,0,98.81299151914664,32,27.876915980929272,at-bound
-1,b,1.4640417599529196,0.030804028738681922,0.006285008290464731,fitted,1,0,98.81299151914664,32,27.876915980929272,at-bound
-1,saturation,0.7400829111648042,inf,,at-bound,1,0,98.81299151914664,32,27.876915980929272,at-bound
-1,total_uM,76.94761467831493,inf,,at-bound,1,0,98.81299151914664,32,27.876915980929272,at-bound
+1,hbo2_uM,56.947614332571405,inf,0.13157841300381495,implausible,1,0,98.81299151914745,32,27.87691609029227,at-bound
+1,hb_uM,20,inf,0.08202275021744398,at-bound,1,0,98.81299151914745,32,27.87691609029227,at-bound
+1,water_fraction,0.620544075497948,inf,0.0013894652500235122,implausible,1,0,98.81299151914745,32,27.87691609029227,at-bound
+1,a_per_mm,2.227243266686356,inf,0.008149582913651053,implausible,1,0,98.81299151914745,32,27.87691609029227,at-bound
+1,b,1.4640417459375807,inf,0.00628500830919975,implausible,1,0,98.81299151914745,32,27.87691609029227,at-bound
+1,saturation,0.7400829099969363,inf,,at-bound,1,0,98.81299151914745,32,27.87691609029227,at-bound
+1,total_uM,76.9476143325714,inf,,at-bound,1,0,98.81299151914745,32,27.87691609029227,at-bound
 ! dipole fit: bands.csv: 1 of 1 samples were not fitted whole: see the column status
 ? 3
 
@@ -35,13 +35,13 @@ fat=.3, haemoglobin by prahl, model transport, moments exact, g 0.9, eta 1.4, sc
 
 sample  unknown         value  error  numerical        status  scale  its error       chi2  readings  condition     sample is
 ------  --------------  -----  -----  ---------  ------------  -----  ---------  ---------  --------  ---------  ------------
-1       hbo2_uM             -    inf    1.6e-01  undetermined      1      0.011  2.032e-08         8        inf  undetermined
-1       hb_uM               -    inf    1.6e-01  undetermined      1      0.011  2.032e-08         8        inf  undetermined
-1       water_fraction      -    inf    9.5e-02  undetermined      1      0.011  2.032e-08         8        inf  undetermined
-1       a_per_mm          1.9   0.18    1.7e-02        fitted      1      0.011  2.032e-08         8        inf  undetermined
-1       b                 1.2   0.31    2.9e-02        fitted      1      0.011  2.032e-08         8        inf  undetermined
-1       saturation          -    inf          -  undetermined      1      0.011  2.032e-08         8        inf  undetermined
-1       total_uM            -    inf          -  undetermined      1      0.011  2.032e-08         8        inf  undetermined
+1       hbo2_uM             -    inf    1.0e+00  undetermined      1      0.011  2.031e-08         8        inf  undetermined
+1       hb_uM               -    inf    6.9e-02  undetermined      1      0.011  2.031e-08         8        inf  undetermined
+1       water_fraction      -    inf    1.1e-01  undetermined      1      0.011  2.031e-08         8        inf  undetermined
+1       a_per_mm          1.9   0.18    1.7e-02        fitted      1      0.011  2.031e-08         8        inf  undetermined
+1       b                 1.2   0.31    2.9e-02        fitted      1      0.011  2.031e-08         8        inf  undetermined
+1       saturation          -    inf          -  undetermined      1      0.011  2.031e-08         8        inf  undetermined
+1       total_uM            -    inf          -  undetermined      1      0.011  2.031e-08         8        inf  undetermined
 
 errors are standard errors, inf where a value has none; numerical: how far numerical errors of R may
 shift a value; chi2 is the sum of the squares of (reading - fit) / error
