@@ -43,18 +43,16 @@ static void find_cosines(unsigned n, double cosine[NODES], unsigned degree) {
   }
 }
 
-/* The nodes where they may be few, and up to which angle of the complex u they may. */
-enum { NODES_FEW = 6 };
-#define SLOW 0.3
+enum { NODES_FEW = 7 };
 
 void core_modulation_place(core_modulation *to, bool few, double sigma_a_per_mm,
                            double wavenumber_per_mm) {
   assert(wavenumber_per_mm > 0);
   to->here = sqrt(sigma_a_per_mm);
   to->there = fn_csqrt(CMPLX(sigma_a_per_mm, wavenumber_per_mm));
-  to->count = few && cimag(to->there) < SLOW * creal(to->there) ? NODES_FEW : NODES;
+  to->count = few ? NODES_FEW : NODES;
   const double middle = creal(to->there);
-  const double half = fmin(fmax(0.5 * middle, 2 * cimag(to->there)), middle);
+  const double half = fmin(fmax(0.5 * middle, (few ? 2.5 : 2) * cimag(to->there)), middle);
   double cosine[NODES];
   find_cosines(to->count, cosine, 1);
   for (unsigned j = 0; j < to->count; j++) {
@@ -211,7 +209,7 @@ static double error_at(const core_modulation *of, const struct continued *at,
   for (int k = 0; k < 2; k++) {
     const double complex off = sum_of(of, term[k], at->value) * there;
     const double off_here = creal(sum_of(of, term[2 + k], at->value)) * here;
-    sum += (k == 0 ? MARGIN : 0.5 * MARGIN) * fn_abs(off - off_here);
+    sum += (k == 0 ? MARGIN : 0.25 * MARGIN) * fn_abs(off - off_here);
     sum = fn_abs(off) < UNKNOWN ? sum : (double)INFINITY;
   }
   return sum;

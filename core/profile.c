@@ -559,6 +559,9 @@ static core_fault prepare_node(core_profile *node, const struct model *model, co
                  : fault;
 }
 
+/* The largest error of R with which many nodes are taken. */
+#define NODES_MANY_ERROR 1e-4
+
 static core_fault prepare_modulation(core_profile *profile, const struct model *model,
                                      core_inputs inputs) {
   const double mhz = inputs.parameters->value[CORE_PARAMETER_MHZ];
@@ -585,7 +588,7 @@ static core_fault prepare_modulation(core_profile *profile, const struct model *
   if (!(mhz > 0)) {
     return (core_fault){0};
   }
-  core_modulation_place(made, (model->parameters & SOLVES) != 0, least,
+  core_modulation_place(made, profile->numerical_error > NODES_MANY_ERROR, least,
                         2e-6 * PI * mhz * index / CORE_LIGHT_SPEED_MM_PER_PS);
   core_fault fault = {0};
   for (unsigned i = 0; i < made->count && fault.field == NULL; i++) {

@@ -1,0 +1,28 @@
+## Path lengths and modulated light: the examples of core/TISSUE.md, and what is refused.
+$ dipole eval --model transport --sigma-a 0.01 --sigma-s 1 --eta 1.4 --r 10,20,30 --wanted path,dpf,time | head -n 8
+moments exact, R in 1/mm^2 per unit of power that entered
+
+    transport  transport  transport
+ r     path 1      dpf 1     time 1
+mm         mm          1         ps
+--  ---------  ---------  ---------
+10    61.9051    6.19051    289.091
+20    138.805    6.94024    648.204
+
+$ dipole eval --model transport --sigma-a 0.01 --sigma-s 1 --eta 1.4 --r 10,20,30 --mhz 100 --wanted phase,modulation | head -n 8
+moments exact, mhz 100, R in 1/mm^2 per unit of power that entered
+
+    transport     transport
+ r    phase 1  modulation 1
+mm    degrees             1
+--  ---------  ------------
+10    10.3534      0.991679
+20    23.1744      0.977698
+
+$ dipole eval --model transport --sigma-a 0 --sigma-s 1 --eta 1.4 --r 10 --wanted path
+! dipole eval: bad-value: sigma_a: allowed: above 0 with path, dpf and time: their limit is not computed (--sigma-a)
+? 1
+
+$ dipole eval --model transport --sigma-a 0.01 --sigma-s 1 --eta 1.4 --r 10 --wanted phase
+! dipole eval: model transport: bad-value: mhz: allowed: a frequency: phase and modulation need it (--mhz)
+? 1
