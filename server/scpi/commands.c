@@ -286,22 +286,28 @@ static const schema_field *next_field(const struct scpi_command *command, const 
   return field_named(command->structure, name, bytes, at);
 }
 
-/* Reads an entry of a list by its name, in its long or short form, or its id. */
+/* Reads an entry of a list by its id, its name, or the name's short form if no other has the same. */
 static bool read_choice(struct scpi_session *s, const struct scpi_parameter *parameter,
                         const schema_field *field, double *id) {
   if (parameter->kind == SCPI_DECIMAL) {
     return read_number(s, parameter, field, id);
   }
+  unsigned found = 0;
   *id = 0;
   for (const core_choice *one = field->list; one->name != NULL; one++) {
     /* four letters, or three if the fourth is a vowel */
-    const size_t capitals = strlen(one->name) > 3 && strchr("aeiou", one->name[3]) != NULL ? 3 : 4;
+    const size_t length = strlen(one->name);
+    const size_t capitals = length > 3 && strchr("aeiou", one->name[3]) != NULL ? 3 : 4;
     if (strncasecmp(parameter->text, one->name, parameter->bytes) == 0 &&
-        (parameter->bytes == strlen(one->name) || parameter->bytes == capitals)) {
+        (parameter->bytes == length || parameter->bytes == capitals)) {
       *id = one->id;
+      found++;
+      if (parameter->bytes == length) {
+        return true;
+      }
     }
   }
-  return *id > 0 || (field->or_zero && is_word(parameter, "AUTO")) ||
+  return found == 1 || (field->or_zero && is_word(parameter, "AUTO")) ||
          fail_with(s, BAD_VALUE, field->name, "a name that `dipole` lists, or its id");
 }
 
@@ -1187,7 +1193,8 @@ bool scpi_session_finish(struct scpi_session *s) {
     const bool refused = task->error.status != WIRE_STATUS_OK;
     task->state = refused ? SCPI_TASK_NONE : SCPI_TASK_DONE;
     http_text_reset(&task->payload);
-    if (!is_good(s, task->error)) {
+    if (refused) {
+      scpi_status_refuse(&s->status, &task->error);
     } else if (i == SCPI_EVAL && s->waits_for->carry_out == use_wavelength) {
       take_tissue(s);
     } else if (i == SCPI_EVAL) {

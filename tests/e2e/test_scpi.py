@@ -232,6 +232,7 @@ def test_layers_slabs_and_frequencies(shared, raw):
         ("MED -1,9.5,0,1.4;:R? 1", '-222,"Data out of range;sigma_a: '),
         (f"{MED};:R? 1,-1", '-222,"Data out of range;r: '),
         (f"{MED};:TOL 0;:R? 1", '-222,"Data out of range;tolerance: '),
+        (f"{MED};:MOD BETT;:R? 1", '-224,"Illegal parameter value;model: '),  # of several
         (f"{MED};:MOD NONE;:R? 1", '-224,"Illegal parameter value;model: '),
         (f"{MED};:EVAL 4;:R? 1", '-222,"Data out of range;evaluator: one of 1 (f64), 2 (f32), 3 (lut)"'),
         ("*RST;:R? 1", '-221,"Settings conflict;MEDium: '),
