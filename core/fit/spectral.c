@@ -629,7 +629,7 @@ static void put_haemoglobin(const core_spectral *of, const struct found *at,
   const core_spectral_estimate absent = {of->chromophores + 2, CORE_FIT_STATUS_UNDETERMINED, none,
                                          none, none};
   double by_share[MOST] = {0}, by_total[MOST] = {0}, row[MOST], error, shift;
-  bool sought = false, bound = at->q.outside, ambiguous = false;
+  bool sought = false, bound = at->q.outside;
   result->saturation = result->total = absent;
   if (of->oxy >= of->chromophores || of->deoxy >= of->chromophores) {
     return;
@@ -640,7 +640,6 @@ static void put_haemoglobin(const core_spectral *of, const struct found *at,
     if (of->term_of[k] == of->oxy || of->term_of[k] == of->deoxy) {
       sought = true;
       bound |= result->unknown[k].status == CORE_FIT_STATUS_AT_BOUND;
-      ambiguous |= result->unknown[k].status == CORE_FIT_STATUS_AMBIGUOUS;
       by_total[k] = 1;
       by_share[k] = (of->term_of[k] == of->oxy ? deoxy : -oxy) / (total * total);
     }
