@@ -92,6 +92,7 @@ typedef struct cli_settings {
   cli_numbers sigma_a, sigma_s, g, eta, thickness;
   cli_texts layer;
   cli_texts tissue, wavelengths, unknown;
+  cli_numbers scatter;
   const char *haemoglobin;
   cli_texts model;
   const char *moments, *evaluator;

@@ -79,6 +79,9 @@ extern const cli_option cli_layer_options[];
       {"wavelengths", "for --tissue: the channels, nm",                                            \
        CLI_NAMES,     offsetof(cli_settings, wavelengths),                                         \
        NULL,          "NM[,NM...] or FROM:TO:STEP"},                                               \
+      {"scatter",   "for --tissue: the same as a=A,b=B,rayleigh=SHARE in each",                    \
+       CLI_NUMBERS, offsetof(cli_settings, scatter),                                               \
+       NULL,        "A,B[,SHARE]"},                                                                \
       CLI_OPTION(TEXT, haemoglobin, "prahl",                                                       \
                  "for --tissue: the table of its absorption, prahl or ucl")
 

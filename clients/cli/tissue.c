@@ -71,6 +71,9 @@ int cli_tissue_check(const cli_settings *settings) {
   if (settings->wavelengths.count == 0) {
     return cli_fail_usage("--tissue needs --wavelengths, as 650,850 or 450:1000:5");
   }
+  if (settings->scatter.count == 1 || settings->scatter.count > 3) {
+    return cli_fail_usage("--scatter: give A,B or A,B,SHARE, as 4.6,1.42");
+  }
   size_t count;
   return read_wavelengths(&settings->wavelengths, &count) != NULL ? CLI_OK : CLI_USAGE;
 }
@@ -144,6 +147,14 @@ static int take_layer(const cli_settings *settings, dipole_client *client, cli_p
                                CLI_DEADLINE_OF(settings)};
   if (!cli_tissue_read(profile->info, text, &query, properties)) {
     return CLI_USAGE;
+  }
+  if (query.property_count + settings->scatter.count > CORE_PROPERTIES_END) {
+    return cli_fail_usage("--tissue %s: too many properties", text);
+  }
+  for (size_t i = 0; i < settings->scatter.count; i++) {
+    properties[query.property_count++] = (dipole_parameter){
+        (const uint16_t[]){CORE_PROPERTY_A, CORE_PROPERTY_B, CORE_PROPERTY_RAYLEIGH}[i],
+        settings->scatter.items[i]};
   }
   if (!CLI_RETRY(settings, &error, dipole_tissue(client, &query, media, &error))) {
     char what[96];

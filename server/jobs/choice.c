@@ -268,7 +268,7 @@ wire_error choice_refusal(const struct choice_state *state, const eval_request *
   if (!(state->least > 0)) {
     return wire_error_none();
   }
-  char least[ROUNDED_BYTES], medium[31] = "", allowed[ALLOWED_BYTES];
+  char least[ROUNDED_BYTES], medium[24] = "", allowed[ALLOWED_BYTES];
   round_up(least, state->least);
   if (request->fixed.medium_count > 1) {
     snprintf(medium, sizeof medium, " for medium %" PRIu32, state->worst + 1);

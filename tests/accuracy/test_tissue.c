@@ -99,10 +99,10 @@ UNIT_TEST(other_spectra_are_natural_and_per_mm) {
   assert_within(prahl_at(CORE_PROPERTY_WATER, 975), .0505, .1); /* UCL's 0.2193, decadic 1/cm */
   assert_within(prahl_at(CORE_PROPERTY_WATER, 980), .0482, .01);
   assert_within(prahl_at(CORE_PROPERTY_FAT, 930), .0131, .005);
-  assert_within(prahl_at(CORE_PROPERTY_MELANOSOME, 500), 51.9, 1e-14);
-  assert_within(prahl_at(CORE_PROPERTY_MELANOSOME, 1000), 51.9 / 8, 1e-14);
-  assert_within(6.6e10 * pow(500, -3.33) / prahl_at(CORE_PROPERTY_MELANOSOME, 500), 1.31, .01);
-  assert_within(6.6e10 * pow(800, -3.33) / prahl_at(CORE_PROPERTY_MELANOSOME, 800), 1.12, .01);
+  assert_within(prahl_at(CORE_PROPERTY_MELANIN, 500), 51.9, 1e-14);
+  assert_within(prahl_at(CORE_PROPERTY_MELANIN, 1000), 51.9 / 8, 1e-14);
+  assert_within(6.6e10 * pow(500, -3.33) / prahl_at(CORE_PROPERTY_MELANIN, 500), 1.31, .01);
+  assert_within(6.6e10 * pow(800, -3.33) / prahl_at(CORE_PROPERTY_MELANIN, 800), 1.12, .01);
   assert_within(prahl_at(CORE_PROPERTY_BILIRUBIN, 450.8), 55000 * log(10) * 1e-7, .002);
   assert_within(prahl_at(CORE_PROPERTY_CAROTENE, 451), 139500 * log(10) * 1e-7, .011);
   assert_true(prahl_at(CORE_PROPERTY_CAROTENE, 600) == 0);
@@ -127,7 +127,7 @@ static const struct {
     {"water_Segelstein", CORE_PROPERTY_WATER, CORE_HAEMOGLOBIN_PRAHL, 0, 660},
     {"water_Kou", CORE_PROPERTY_WATER, CORE_HAEMOGLOBIN_PRAHL, 670, 2000},
     {"fat", CORE_PROPERTY_FAT, CORE_HAEMOGLOBIN_PRAHL, 0, 2000},
-    {"melanosome", CORE_PROPERTY_MELANOSOME, CORE_HAEMOGLOBIN_PRAHL, 0, 2000},
+    {"melanosome", CORE_PROPERTY_MELANIN, CORE_HAEMOGLOBIN_PRAHL, 0, 2000},
     {"bilirubin", CORE_PROPERTY_BILIRUBIN, CORE_HAEMOGLOBIN_PRAHL, 0, 560},
     {"carotene", CORE_PROPERTY_CAROTENE, CORE_HAEMOGLOBIN_PRAHL, 0, 520},
     {"CCO_ox", CORE_PROPERTY_CCO_OX, CORE_HAEMOGLOBIN_PRAHL, 0, 2000},

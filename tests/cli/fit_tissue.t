@@ -62,7 +62,7 @@ $ dipole fit bands.csv --unknown hbo2=3,a
 ? 2
 
 $ dipole fit bands.csv --unknown hbo2,x
-! dipole fit: --unknown: 'x' is no property; they are hbo2_uM, hb_uM, water_fraction, fat_fraction, melanosome_fraction, bilirubin_uM, carotene_uM, cco_ox_uM, cco_red_uM, blood_fraction, bloodless_fraction, a_per_mm, b, rayleigh_share, g, eta, vessel_radius_mm, thickness_mm
+! dipole fit: --unknown: 'x' is no property; they are hbo2_uM, hb_uM, water_fraction, fat_fraction, melanin_fraction, bilirubin_uM, carotene_uM, cco_ox_uM, cco_red_uM, blood_fraction, bloodless_fraction, a_per_mm, b, rayleigh_share, g, eta, vessel_radius_mm, thickness_mm
 ! `dipole fit --help` says more.
 ? 2
 

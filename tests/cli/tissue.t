@@ -31,8 +31,8 @@ wavelength_nm,layers
 600,"0.379915975,55.5939216,0.9,1.4,0.06 0.0111709447,35.7928295,0.9,1.4"
 
 ## Values of tissues: rows have wavelengths, and answers name the table of haemoglobin.
-$ dipole eval --tissue hbo2=56,hb=24,water=.65,melanosome=.001,a=4.6,b=1.42 --wavelengths 660,850 --haemoglobin ucl --r 1,5 --model better
-hbo2=56,hb=24,water=.65,melanosome=.001,a=4.6,b=1.42, haemoglobin by ucl, moments exact, R in 1/mm^2 per unit of power that entered
+$ dipole eval --tissue hbo2=56,hb=24,water=.65,melanin=.001 --scatter 4.6,1.42 --wavelengths 660,850 --haemoglobin ucl --r 1,5 --model better
+hbo2=56,hb=24,water=.65,melanin=.001, haemoglobin by ucl, moments exact, R in 1/mm^2 per unit of power that entered
 
                 better      better
 wavelength      R 1 mm      R 5 mm
@@ -83,7 +83,7 @@ $ for one in lever liver,c=3 liver,fat adult-head liver,fat=2; do dipole tissue 
 1
 ! dipole tissue: --tissue: 'lever' is unknown; this daemon has skin, epidermis, dermis, breast, breast-tumour, brain, white-matter, liver, muscle, prostate, adult-head, forearm, subcutis. Is it liver?
 ! `dipole tissue --help` says more.
-! dipole tissue: --tissue liver,c=3: 'c' is no property; they are hbo2_uM, hb_uM, water_fraction, fat_fraction, melanosome_fraction, bilirubin_uM, carotene_uM, cco_ox_uM, cco_red_uM, blood_fraction, bloodless_fraction, a_per_mm, b, rayleigh_share, g, eta, vessel_radius_mm, thickness_mm
+! dipole tissue: --tissue liver,c=3: 'c' is no property; they are hbo2_uM, hb_uM, water_fraction, fat_fraction, melanin_fraction, bilirubin_uM, carotene_uM, cco_ox_uM, cco_red_uM, blood_fraction, bloodless_fraction, a_per_mm, b, rayleigh_share, g, eta, vessel_radius_mm, thickness_mm
 ! `dipole tissue --help` says more.
 ! dipole tissue: --tissue liver,fat: give fat=X, a number
 ! `dipole tissue --help` says more.
