@@ -31,8 +31,9 @@ def test_help_of_a_command(command):
 def test_examples_work(command, tmp_path):
     layer = "1 2 18 .75 .1"
     (tmp_path / "sample.mci").write_text(f"1.0\n1\nslab.mco A\n9\n.01 .1\n9 2 1\n1\n1\n{layer}\n1\n")
+    (tmp_path / "colours.csv").write_text("albedo,mean_free_path\n.4,1\n.2,1\n")
     text = dipole(command, "--help").stdout.split("\nExamples\n")[1]
-    examples = [line.split() for line in text.splitlines()]
+    examples = [line.split(" | ")[0].split() for line in text.splitlines()]
     assert len(examples) >= 3
     for words in examples:
         assert words[0] == "dipole"
