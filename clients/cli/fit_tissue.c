@@ -142,7 +142,7 @@ static int read_samples(report *of) {
   of->frequency = sheet->at[FREQUENCY] != CLI_CSV_ABSENT;
   of->samples = cli_allocate(sheet->count + 1, sizeof *of->samples);
   for (size_t row = 0; row < sheet->count; row++) {
-    size_t i = of->sample_count; /* its lines are mostly side by side */
+    size_t i = of->sample_count; /* a sample's lines are mostly adjacent */
     while (i > 0 && strcmp(of->samples[i - 1].name, sheet->labels[row]) != 0) {
       i--;
     }

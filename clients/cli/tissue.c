@@ -28,7 +28,7 @@ static bool read_range(const char *text, double range[3]) {
   return count != 2 && range[2] > 0 && range[1] >= range[0];
 }
 
-/* Reads the wavelengths, which the caller need not free. Says what is wrong and returns NULL. */
+/* Reads the wavelengths. If one is wrong, or they are too many, says so and returns NULL. */
 static double *read_wavelengths(const cli_texts *texts, size_t *count) {
   double *all = cli_allocate(CORE_TISSUE_WAVELENGTHS_MAX, sizeof *all);
   *count = 0;

@@ -21,8 +21,8 @@ enum { MOST = CORE_SPECTRAL_UNKNOWNS_MAX, CANDIDATES = 15, STARTS = 5, STEPS_MAX
 #define DAMPING_FIRST 1e-2
 #define DAMPING_LEAST 1e-12
 #define DAMPING_MOST 1e10
-/* Eigenvalues of a matrix with a diagonal of 1 are not known to this. Errors are infinite if they are
- * so many times what they would be with all other unknowns known. */
+/* Eigenvalues of a matrix with a diagonal of 1 below this are rounding. Errors are infinite if they
+ * are so many times what they would be with all other unknowns known. */
 #define ROUNDING 1e-15
 #define ERROR_MOST 1e6
 /* A second minimum differs by so many standard errors. */
@@ -36,7 +36,7 @@ struct quadratic {
   double factor, chi_squared;
   double information[MOST][MOST];
   double to[MOST];           /* minus half the derivatives of chi-squared */
-  double along_factor[MOST]; /* share of each derivative that the factor takes */
+  double along_factor[MOST]; /* projection of each derivative on that by ln factor */
   double of_factor;          /* information of ln factor alone; 0 if the factor is known */
 };
 
@@ -392,7 +392,7 @@ static double solve(const struct spectrum *by, size_t n, double damping, const d
 
 /* ---- searching ------------------------------------------------------------------------------- */
 
-/* Tries a step of the descent. Returns whether it is the last; then sets *settled. */
+/* Tries a step of the descent. Returns whether it is the last; *settled: whether it converged. */
 static bool descend(core_spectral *of, bool *settled) {
   const size_t n = of->unknowns;
   struct quadratic *q = &of->now;
@@ -433,8 +433,8 @@ static bool descend(core_spectral *of, bool *settled) {
   return *settled || --of->left <= 0 || of->damping > DAMPING_MOST;
 }
 
-/* Compares candidate i: the amounts and a are more and less than their starts. The best of each a is a
- * start, since more and less scattering may give the same reading. */
+/* Compares candidate i: amounts and a are multiples of their starts. The best of each a
+ * starts a descent, since more and less scattering may give the same reading. */
 static void compare(core_spectral *of, int i) {
   static const double amounts[] = {1, 0.25, 4}, scatterings[] = {0, -1, 1, -2, 2};
   struct minimum one = {.settled = false}, *start = &of->starts[i / 3];

@@ -119,7 +119,7 @@ core_tissue core_tissue_named(unsigned id) {
                         }};
   static const struct {
     unsigned id;
-    double value[CORE_PROPERTIES_END]; /* 0: the usual one */
+    double value[CORE_PROPERTIES_END]; /* 0: the usual value */
   } named[] = {
 #define CORE_TISSUE(id, IDENT, name, source, ...) {id, {__VA_ARGS__}},
 #include "core/tissue/tissue.def"

@@ -84,7 +84,7 @@ void scpi_session_run(struct scpi_session *session, uint64_t *budget);
  * false if the message ends, because its job was refused. */
 bool scpi_session_finish(struct scpi_session *session);
 
-/* Ends Monte Carlo soon, with its results so far, and fits at once if all is true. */
+/* all: drops fit and Monte Carlo without results; else ends Monte Carlo soon, with results. */
 void scpi_session_stop(struct scpi_session *session, bool all);
 
 /* ---- jobs: task.c ---------------------------------------------------------------------------- */

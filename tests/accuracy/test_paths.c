@@ -245,7 +245,7 @@ UNIT_TEST(phases_of_tissue_are_those_that_are_known) {
   }
 }
 
-/* ---- what has to hold ------------------------------------------------------------------------- */
+/* ---- limits and identities -------------------------------------------------------------------- */
 
 UNIT_TEST(slow_modulation_lags_by_the_mean_path) {
   static const unsigned models[] = {CORE_MODEL_TRANSPORT, CORE_MODEL_BETTER,

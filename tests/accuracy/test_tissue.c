@@ -226,7 +226,7 @@ UNIT_TEST(liver_at_1000_nm_is_that_of_VTS) {
   assert_true(medium_at(&liver, 1000).g == .9 && medium_at(&liver, 1000).eta == 1.4);
 }
 
-/* Jacques 2013, Table 2: both laws of skin; 1.2 (lambda / 1000)^-1.42 of VTS. */
+/* Jacques 2013, Table 2: both laws of skin. */
 UNIT_TEST(scattering_is_a_power_law) {
   core_tissue skin = tissue_of(4.6, 1.421);
   assert_within(reduced_at(&skin, 500), 4.6, 1e-14);

@@ -26,6 +26,8 @@ def some_parameters(model: str) -> dict[str, float]:
     given = {name: some_value(name) for name in takes(model) if not name.startswith(apart)}
     given.pop("eta_below", None)  # of slabs alone
     given.pop("derivative_layer", None)  # of several layers
+    if thickness(model):
+        given.pop("mhz", None)  # of phase and modulation alone, for which a slab is solved nine times
     return given | {"cos_in": 0.75}
 
 
