@@ -69,8 +69,8 @@ $(BUILD)/prometheus:
 check-programs: $(TESTS) $(addprefix $(BUILD)/,dipoled-counting wire-lists soak-load tests/bits tests/accuracy/truth)
 
 # What .ci/run runs after `make check`, and what else takes long. `make check-PART` runs one of them.
-CI_PARTS := bits-aarch64+tls-long pipeline soak-long services+fuzz packages deb
-NIGHTLY_PARTS := $(CI_PARTS) balancer-long+rings,truth-long plan figures fits+varying units-long fuzz-long blender
+CI_PARTS := bits-aarch64 pipeline soak-long services+fuzz packages deb
+NIGHTLY_PARTS := $(CI_PARTS) tls-long balancer-long+rings,truth-long plan figures fits+varying units-long fuzz-long blender
 check-ci: PARTS ?= $(CI_PARTS)
 check-nightly: PARTS ?= $(NIGHTLY_PARTS)
 check-ci: ## packages in a new system, aarch64, long loads
