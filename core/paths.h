@@ -36,9 +36,9 @@ typedef struct core_modulation {
   core_profile node[CORE_MODULATION_NODES_MAX]; /* owned, of evaluator f64 */
 } core_modulation;
 
-/* Sets `here`, `there`, and the nodes. few: whether few nodes are taken, far apart, because
- * the errors of R at the nodes are multiplied by more the more there are and the closer they are. sigma_a_per_mm: the least absorption, not
- * negative; wavenumber_per_mm: omega n / c, above 0. */
+/* Sets `here`, `there`, and the nodes. few: takes few nodes, far apart, which multiply the errors of
+ * R at the nodes less. sigma_a_per_mm: the least absorption, not negative; wavenumber_per_mm:
+ * omega n / c, above 0. */
 void core_modulation_place(core_modulation *to, bool few, double sigma_a_per_mm,
                            double wavenumber_per_mm);
 

@@ -265,9 +265,9 @@ static size_t most_media(const dipole_info *info) {
   return 1;
 }
 
-/* Requests the model, of many wavelengths piece by piece. It has to take the parameters, unless it is there only as the reference. Where
- * the daemon chooses the model, and no evaluator is named, single precision is taken, which is
- * cheaper, unless only double precision keeps the tolerance. */
+/* Requests the model, of many wavelengths piece by piece. It has to take the parameters, unless it is
+ * there only as the reference. Where the daemon chooses the model, and no evaluator is named, single
+ * precision is taken, which is cheaper, unless only double precision keeps the tolerance. */
 static bool request_model(requests *run, dipole_error *error) {
   const cli_eval_report *report = run->report;
   const dipole_info *info = report->profile.info;
