@@ -25,7 +25,7 @@ SUITE = Path("/usr/share/doc/libmodbus-dev/examples/random-test-client.c")
 RADII_MM = np.array([0.1, 0.2, 0.5, 1, 1.5, 2, 3, 4, 6, 8], np.float32)
 LIMIT_S = 60
 # The packages that npm fetches, if npm is installed: versions that are known to work.
-NODE_MODULES = {"modbus-serial": "8.0.25", "jsmodbus": "5.0.0"}
+NODE_MODULES = {"modbus-serial": "8.0.25"}
 
 
 def needs(program: str):
@@ -138,20 +138,19 @@ def test_pymodbus(request, line, expected):
 
 @pytest.fixture(scope="module")
 def node_modules():
-    """Returns the folder in which npm has installed the packages of the JavaScript examples."""
+    """Returns the folder in which npm has installed what the JavaScript example needs."""
     return npm_install(BUILD / "node", NODE_MODULES) / "node_modules"
 
 
-@pytest.mark.parametrize("script", ["profile.js", "jsmodbus.js"])
-def test_node(address, expected, node_modules, script):
+def test_node(address, expected, node_modules):
     environment = {**os.environ, "NODE_PATH": str(node_modules)}
-    check(run("node", str(EXAMPLES / script), address, env=environment), expected, 9)
+    check(run("node", str(EXAMPLES / "profile.js"), address, env=environment), expected, 9)
 
 
 # ---- units that other masters have used ----------------------------------------------------------
 
 # The digits that each example prints.
-SCRIPTS = {"profile.sh": 6, "profile.py": 9, "profile.js": 9, "jsmodbus.js": 9}
+SCRIPTS = {"profile.sh": 6, "profile.py": 9, "profile.js": 9}
 SLOW = {"model": 29, "evaluator": 3}
 
 
@@ -237,37 +236,6 @@ def job(one: Daemon, name: str) -> subprocess.CompletedProcess[str]:
     return run(sys.executable, str(EXAMPLES / "jobs.py"), address, name)
 
 
-@needs("mbpoll")
-def test_the_jobs_with_mbpoll(daemon):
-    """jobs.sh prints the answers of the binary protocol, whatever was in the registers before."""
-    one = daemon(*TCP)
-    address = one.url("modbus-tcp").removeprefix("modbus-tcp:")
-    with Tcp(one) as master:
-        master.write(AT["MODEL"], words(29, 3, 2))
-        master.write(AT["MC_RING_COUNT"], words(50, 2) + floats(1e9) + words(8, 9))
-
-    def printed(name: str) -> list[str]:
-        result = run("sh", str(EXAMPLES / "jobs.sh"), address, name)
-        assert result.returncode == 0, result.stdout + result.stderr
-        return re.findall(r"\]: *\t *(\S+)", result.stdout)
-
-    def rounded(*arrays) -> list[str]:
-        return [f"{x:.6g}" for x in np.concatenate(arrays).astype("f4")]
-
-    skin = np.array([0.032, 0.74, 0, 1.3], np.float32).astype(float)
-    lengths = np.array([1.3, 0.95, 0.67], np.float32).astype(float)
-    albedos = np.array([0.44, 0.22, 0.13], np.float32).astype(float)
-    with one.client() as client:
-        draw = dipole.Draw(10, "regular", 0)
-        answer = client.sample("better", skin, evaluator="f32", draw=draw)
-        assert printed("sample") == rounded(answer.r[0])
-        answer = client.invert("better", albedos, lengths, eta=skin[3])
-        assert printed("invert") == rounded(answer.sigma_a, answer.sigma_s)
-        edges = dipole.Grid(float(np.float32(0.1)), 10.0, 6, "logarithmic")
-        answer = client.mc(skin, edges, photons=1_000_000)
-        assert printed("mc") == rounded(answer.edges, answer.R[0], answer.R_error[0])
-
-
 def test_the_jobs_of_an_odd_unit(daemon):
     """jobs.py prints the answers of the binary protocol, whatever was in the registers before."""
     one = daemon(*TCP)
@@ -303,9 +271,6 @@ def test_the_jobs_of_an_odd_unit(daemon):
         assert "%" in result.stderr
 
 
-FITTERS = {"jobs.sh": "sh", "jobs.py": sys.executable, "profile.js": "node", "jsmodbus.js": "node"}
-
-
 @pytest.fixture(scope="module")
 def noisy_readings(slave) -> list[str]:
     """Readings that an instrument might take: Monte Carlo at four distances with 2 % noise, and an
@@ -320,31 +285,24 @@ def noisy_readings(slave) -> list[str]:
     return readings
 
 
-@pytest.mark.parametrize("name", FITTERS)
-def test_instruments_fit_noisy_monte_carlo(request, address, noisy_readings, name):
+def fit(address: str, *words: str) -> subprocess.CompletedProcess[str]:
+    pytest.importorskip("pymodbus")
+    return run(sys.executable, str(EXAMPLES / "jobs.py"), address, "fit", *words)
+
+
+def test_instruments_fit_noisy_monte_carlo(address, noisy_readings):
     """Both coefficients come back within three of their standard errors."""
-    environment = dict(os.environ)
-    if name.endswith(".js"):
-        environment["NODE_PATH"] = str(request.getfixturevalue("node_modules"))
-    elif name.endswith(".py"):
-        pytest.importorskip("pymodbus")
-    elif shutil.which("mbpoll") is None:
-        pytest.skip("mbpoll is not installed")
-    command = [FITTERS[name], str(EXAMPLES / name), address, "fit", "eta=1.4", *noisy_readings]
-    result = run(*command, env=environment)
+    result = fit(address, "eta=1.4", *noisy_readings)
     assert result.returncode == 0, result.stdout + result.stderr
-    if name == "jobs.sh":
-        a, s, a_error, s_error, chi = map(float, re.findall(r"\]: *\t *(\S+)", result.stdout))
-    else:
-        found = re.findall(r"(\S+) \+- ([^\s,]+)", result.stdout)
-        (a, a_error), (s, s_error) = (map(float, pair) for pair in found)
-        chi = float(re.search(r"chi-squared (\S+)", result.stdout)[1])
+    found = re.findall(r"(\S+) \+- ([^\s,]+)", result.stdout)
+    (a, a_error), (s, s_error) = (map(float, pair) for pair in found)
+    chi = float(re.search(r"chi-squared (\S+)", result.stdout)[1])
     assert "with g 0 (default), eta 1.4, scale absolute (default)\n" in result.stdout
     assert abs(a - 0.03) < 3 * a_error < 0.03 and abs(s - 1.2) < 3 * s_error < 0.6
     assert 0 < chi < 12
 
 
-@pytest.mark.parametrize("name", [*FITTERS, "profile.sh", "profile.py"])
+@pytest.mark.parametrize("name", ["jobs.py", *SCRIPTS])
 def test_examples_know_their_words(request, address, name):
     """--help says how an example is called. An unknown word is refused by name, before any unit is
     asked: nothing is connected to."""
@@ -361,16 +319,15 @@ def test_examples_know_their_words(request, address, name):
         told = ask(*words)
         assert told.returncode == 0 and told.stderr == "" and f"{name} HOST:PORT" in told.stdout
     wrong = {"": "", "localhost 2": "localhost", f"{nobody} -5": "-5"}
-    wrong[f"{nobody} 2 3"] = "2 is" if "jobs" in name else "3"
-    if name in FITTERS:
+    wrong[f"{nobody} 2 3"] = "2 is" if name == "jobs.py" else "3"
+    if name == "jobs.py":
         assert "scale=" in told.stdout
         readings = "1,.02,.001 2,.01,.001 3,.004,.0002"
         good, wrong[f"{nobody} fit {readings}"] = f"eta=1.4 {readings}", "give eta=X"
         for words in ("G=.9", "eta=", "eta=1,4", "scale=reference", "scale=", "1,.02", "1,2,3,4",
                       "1,x,3", "1,,3"):  # fmt: skip
             wrong[f"{nobody} fit {good} {words}"] = words
-        if name == "jobs.py":
-            wrong[f"{nobody} fit {good} g=.5 g=.6"] = "g= is given twice"
+        wrong[f"{nobody} fit {good} g=.5 g=.6"] = "g= is given twice"
     if name == "profile.py":
         said_of = {"g=.5 g=.6": "given twice", "G=1": "unknown", "eta=x": "x: give", "r=,": ",: give"}
         wrong |= {f"{nobody} {words}": said for words, said in said_of.items()}
@@ -382,34 +339,24 @@ def test_examples_know_their_words(request, address, name):
         assert f"{name} HOST:PORT" in told.stderr
 
 
-@pytest.mark.parametrize("name", FITTERS)
-def test_fits_say_what_they_took_and_scale(request, slave, address, name):
+def test_fits_say_what_they_took_and_scale(slave, address):
     """With scale=free, readings that are twice as large have the same coefficients."""
-    tool, environment = FITTERS[name], dict(os.environ)
-    if tool == "node":
-        environment["NODE_PATH"] = str(request.getfixturevalue("node_modules"))
-    elif tool == "sh" and shutil.which("mbpoll") is None:
-        pytest.skip("mbpoll is not installed")
     at = np.array([0.5, 1, 2, 3, 5, 8])
     with slave.client() as client:
         R = client.eval("transport", (0.03, 12, 0.9, 1.35), at, wanted="R").R[0]
     readings = [f"{r},{2 * value:.7g},{0.02 * value:.7g}" for r, value in zip(at, R)]
-    result = run(tool, str(EXAMPLES / name), address, "fit", "g=0.9", "eta=1.35", "scale=free",
-                 *readings, env=environment)  # fmt: skip
+    result = fit(address, "g=0.9", "eta=1.35", "scale=free", *readings)
     assert result.returncode == 0, result.stderr
-    numbers = [float(text) for text in re.findall(r"(?:\]: *\t *|sigma_a |sigma_s' |factor )(\S+)",
-                                                  result.stdout)]  # fmt: skip
-    found = [numbers[0], numbers[1], numbers[5 if name == "jobs.sh" else 2]]
-    assert found == pytest.approx([0.03, 1.2, 2], rel=2e-3)
+    found = re.findall(r"(?:sigma_a |sigma_s' |factor )(\S+)", result.stdout)
+    assert [float(text) for text in found] == pytest.approx([0.03, 1.2, 2], rel=2e-3)
     taken = dict(re.findall(r"\b(g|eta|scale) (\S+?)(?:,|\n| \(default\))", result.stdout))
     assert taken == {"g": "0.9", "eta": "1.35", "scale": "free"}
     assert "(default)" not in result.stdout
-    usual = run(tool, str(EXAMPLES / name), address, "fit", env=environment).stdout
+    usual = fit(address).stdout
     assert "with g 0 (default), eta 1.4, scale absolute (default)\n" in usual
     readings.append("20,-1e-5,2e-5")  # noise
     for g, end in (("0.9", 0), ("-0.4", 1)):  # A wrong g does not fit, but it gets there.
-        words = ["fit", "eta=1.35", f"g={g}", "scale=free", *readings]
-        result = run(tool, str(EXAMPLES / name), address, *words, env=environment)
+        result = fit(address, "eta=1.35", f"g={g}", "scale=free", *readings)
         assert result.returncode == end and ("implausible" in result.stderr) == bool(end), result
 
 
@@ -419,12 +366,8 @@ def test_instruments_are_told_what_is_no_success(address):
     wrong = {"1,.02,.001 2,.01,0": "error 6 at register 8210: a standard error above 0"}
     wrong["1,.001,.0001 2,.01,.001 4,.1,.01"] = "the fit is no success: implausible"
     for readings, said in wrong.items():
-        script = str(EXAMPLES / "jobs.py")
-        result = run(sys.executable, script, address, "fit", "eta=1.4", *readings.split())
+        result = fit(address, "eta=1.4", *readings.split())
         assert result.returncode == 1 and said in result.stderr, result.stderr
-    if shutil.which("mbpoll") is not None:
-        result = run("sh", str(EXAMPLES / "jobs.sh"), address, "fit", "eta=1.4", *readings.split())
-        assert result.returncode == 1 and result.stderr == f"{said}\n", result.stderr
 
 
 def test_a_job_that_is_refused_says_why(daemon):
