@@ -221,7 +221,6 @@ CALLS: dict[str, tuple[list[Any], dict[str, Any]]] = {
     "varying": (["better"], {"sigma_a": [0.1, 0.2], "sigma_s": 1.0, "r": [[0.5], [1.0]]}),
     "gather": (["better", FOUR, POINTS_SENT, np.ones((30, 3))], {}),
     "mc": ([SKIN, Grid(0, 4, 5)], {"photons": 20000, "seed": 3}),
-    "ring_means": (["better", "skin1", Grid(0, 4, 5)], {}),
 }  # fmt: skip
 # The same for answers in parts.
 PARTED_CALLS: dict[str, tuple[list[Any], dict[str, Any]]] = {

@@ -334,47 +334,11 @@ def test_a_refusal_in_the_python_client(client):
 # ---- beside models -------------------------------------------------------------------------------
 
 
-def mean_of_ring(client, model: str, medium: Medium, a: float, b: float) -> float:
-    """Integrates in steps that double with the distance from the inner edge, eight to an octave."""
-    x, weights = np.polynomial.legendre.leggauss(40)
-    cuts = a + (b - a) * np.append(0, 2.0 ** (np.arange(-511, 1) / 8))
-    widths = np.diff(cuts)[:, None]
-    values = client.eval(model, medium, (cuts[:-1, None] + widths * (1 + x) / 2).ravel(), wanted="2_pi_r_R")
-    power = (values.two_pi_r_R.reshape(-1, 40) * widths * weights / 2).sum()
-    return power / (np.pi * (b - a) * (b + a))
-
-
-@pytest.mark.parametrize("evaluator, most", [("f64", 2e-4), ("f32", 1e99)])
-def test_ring_means_are_within_their_errors(client, evaluator, most):
-    """Also in wide rings and in dark media, where R falls by many orders of magnitude in a ring."""
-    known = [(Medium(1, 1, 0, 1.4), 100, 200), (Medium(1, 1, 0, 1.4), 20, 40), (Medium(0.1, 10, 0.9, 1.4), 2, 4)]
-    random = np.random.default_rng(20)
-    for model in ("better", "burley", "beam"):
-        cases = list(known)
-        for _ in range(3):
-            medium = Medium(*10 ** random.uniform(-3, 3, 2), random.uniform(-0.9, 0.95), random.uniform(0.8, 2))
-            a = random.choice([0, 10 ** random.uniform(-4, 2)]) / (medium.sigma_a + medium.sigma_s)
-            cases.append((medium, a, (a or 0.1) * (1 + 10 ** random.uniform(-6, 4))))
-        for medium, a, b in cases:
-            right = mean_of_ring(client, model, medium, a, b)
-            means = client.ring_means(model, medium, [a, b], evaluator=evaluator)
-            R, error = means.R[0, 0], min(means.numerical_error[0, 0], 1e300)
-            assert abs(R - right) <= error * R or R == 0 and error > most and right < 1e-35, (model, medium, a, b)
-            assert error < most or R == 0
-
-
-@pytest.mark.parametrize("edges", [[1.0], [2.0, 1.0], [-1.0, 1.0], [1.0, np.inf], "ab", [[0.0, 1.0]]])
-def test_edges_that_are_none(client, edges):
-    with pytest.raises(dipole.ArgumentError, match="edges: "):
-        client.ring_means("better", SKIN, edges)
-
-
 def test_whole_numbers_may_be_floats(client):
     one = client.mc(SKIN, Grid(0.0, 4.0, 5.0), photons=2e4, seed=np.float32(3))
     assert one.payload == client.mc(SKIN, Grid(0.0, 4.0, 5), photons=20_000, seed=3).payload
     assert client.eval("better", SKIN, grid=Grid(0.0, 4.0, 5e0)).R.shape == (1, 5)
     assert client.sample("better", SKIN, draw=dipole.Draw(1e2, seed=2.0)).r.shape == (1, 100)
-    assert client.ring_means("better", SKIN, Grid(0.0, 4.0, 5.0)).R.shape == (1, 4)
     for wrong in ({"photons": 2.5}, {"photons": np.nan}, {"photons": "2e5"}, {"seed": 0.1}):
         with pytest.raises(dipole.ArgumentError, match=next(iter(wrong))):
             client.mc(SKIN, Grid(0.0, 4.0, 5), **wrong)

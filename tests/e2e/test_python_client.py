@@ -614,7 +614,6 @@ GOOD_CALLS = [
     'gather("better", m, Points([[0, 0, 0]], [1]), [[1, 2, 3]], progress=lambda a, b: True)',
     'mc(m, Grid(0, 1, 2), photons=2e3, progress=lambda now: now.photons > 0)',
     'fit("better", [1, 2], [0.01, 0.002], 1e-4, axis="r", eta=1.4, deadline_ms=9000)',
-    'ring_means("better", "skin1", [0, 1], tolerance=0.1)',
 ]  # fmt: skip
 BAD_CALLS = [
     'eval("better", m, [1.0], wanted=3)', 'eval("better", m, [1.0], want=["R"])', 'eval("better")',
@@ -626,7 +625,7 @@ BAD_CALLS = [
     'varying("better", want="R")', 'varying("better", sigma_a=1, sigma_s=1, r=1, wanted=3)',
     'gather("better", m)', 'gather("better", m, Points([[0, 0, 0]], [1]), [[1, 2, 3]], 0.1)',
     'mc(m, Grid(0, 1, 2), 2000)', 'mc(m, Grid(0, 1, 2), photon=2000)', 'mc(m)',
-    'fit("better", [1, 2], [1, 1], 1, "r", "absolute")', 'ring_means("better", m, [0, 1], wanted="R")',
+    'fit("better", [1, 2], [1, 1], 1, "r", "absolute")',
 ]  # fmt: skip
 
 

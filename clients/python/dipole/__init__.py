@@ -32,7 +32,6 @@ from .connection import Connection, Frame, Tls
 from .errors import AddressError, ArgumentError, ConnectError, ConnectionLost, DipoleError
 from .errors import LibraryError, ProtocolError, Refused, TableError
 from .gathering import Points, gather_at_home
-from .rings import RingMeans
 from .surface import Coefficients, Surface
 from .table import Table, TableErrors
 from .values import Choice, Draw, Errors, Estimate, Fits, Gathered, Grid, Info, Inversion, LayersFit, McEnergy, McProgress, McResult
@@ -49,7 +48,7 @@ __all__ = [
     "Inversion",
     "McEnergy", "McProgress", "McResult", "McValue", "Medium", "Offer", "Offers", "Parts", "Points",
     "LayersFit", "LibraryError", "ProtocolError",
-    "Query", "Refused", "Result", "RingMeans", "Samples", "Stack", "Surface", "Table",
+    "Query", "Refused", "Result", "Samples", "Stack", "Surface", "Table",
     "TableError",
     "TableErrors", "TissueFits", "Tls", "Values", "Varying", "gather_at_home",
 ]

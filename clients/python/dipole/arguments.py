@@ -42,6 +42,17 @@ def name_of(info: Info, kind: str, number: int) -> str:
     raise ProtocolError(f"a reply with {kind} {number}, which the daemon has not listed")
 
 
+def ids_of(info: Info, **names: str | int) -> dict[str, int]:
+    """Finds the ids of choices, by the fields that have the names of their kinds."""
+    return {kind: id_of(info, kind, name) for kind, name in names.items()}
+
+
+def names_of_ids(info: Info, fixed: Any, *kinds: str) -> dict[str, str]:
+    """Finds the daemon's names for the ids in fields of a reply, or of a request."""
+    ids = fixed if isinstance(fixed, dict) else fixed._asdict()
+    return {kind: name_of(info, kind, ids[kind]) for kind in kinds}
+
+
 def notes_of(info: Info, notes: int) -> tuple[str, ...]:
     """Returns the names of the notes in a sum of their bits."""
     listed = info.choices["note"].values()
@@ -107,14 +118,14 @@ def names_of(wanted: str | Iterable[str] | None, default: tuple[str, ...]) -> tu
 _NAMED = {"fit_model": "model", "phase": "phase"}
 
 
-def parameters_list(
+def parameters_of(
     info: Info,
     parameters: Mapping[str, float | str] | None,
     tolerance: float | None = None,
     kind: str = "parameter",
-) -> list[bytes]:
-    """Packs each parameter, or property of a tissue, into its structure. The daemon checks the values."""
-    structures = []
+) -> bytes:
+    """Packs the parameters, or properties of a tissue. The daemon checks the values."""
+    structures = b""
     all_parameters = dict(parameters or {})
     if tolerance is not None:
         if "tolerance" in all_parameters:
@@ -128,7 +139,7 @@ def parameters_list(
         except (TypeError, ValueError) as error:
             raise ArgumentError(f"{kind} {name}: {value!r} is no number") from error
         parameter = id_of(info, kind, name)
-        structures.append(wire.PARAMETER.pack(parameter=parameter, value=number))
+        structures += wire.PARAMETER.pack(parameter=parameter, value=number)
     return structures
 
 

@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable, Coroutine
 from typing import TYPE_CHECKING, Any, Concatenate, Generic, ParamSpec, Protocol, TypeVar, overload
 
-from . import broadcast, evaluation, fitting, gathering, inversion, rings, tissues, values, wire
+from . import broadcast, evaluation, fitting, gathering, inversion, tissues, values, wire
 from . import mc as walking
 from . import varying as textures
 from .errors import ArgumentError, ProtocolError
@@ -160,7 +160,6 @@ class Calls:
     varying = Call(textures.varying)
     gather = Call(gathering.gather)
     mc = Call(walking.mc)
-    ring_means = Call(rings.ring_means)
     media = Call(media)
     statistics = Call(statistics)
     ping = Call(ping)

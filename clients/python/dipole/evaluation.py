@@ -10,7 +10,7 @@ import numpy as np
 
 from . import wire
 from .arguments import id_of, in_precision, layers_of, media_array, name_of, names_of, notes_of
-from .arguments import parameters_list
+from .arguments import names_of_ids, parameters_of
 from .session import Session
 from .connection import frame_pieces
 from .errors import ArgumentError, ProtocolError, TableError
@@ -33,7 +33,6 @@ def _payload(
     **fields: Any,
 ) -> bytes:
     """Packs an eval or sample request. listed: the numbers, if there is a list."""
-    parameters = parameters_list(info, query.parameters, query.tolerance)
     fixed = {
         "model": _model_id(info, query),
         "evaluator": evaluator_id,
@@ -41,13 +40,11 @@ def _payload(
         "wanted": shape.wanted,
         "medium_count": shape.medium_count,
         "layer_count": media.shape[1],
-        "parameter_count": len(parameters),
         **fields,
     }
     lists = {name: array.data for name, array in listed.items() if array is not None and len(array)}
-    return wire.PAYLOADS[message].pack(
-        fixed, medium=media.tobytes(), parameter=b"".join(parameters), **lists
-    )
+    parameters = parameters_of(info, query.parameters, query.tolerance)
+    return wire.PAYLOADS[message].pack(fixed, medium=media.tobytes(), parameter=parameters, **lists)
 
 
 def _model_id(info: Info, query: Query) -> int:
@@ -209,14 +206,9 @@ async def surface(
 
 async def _table(session: Session, query: Query, make: Callable[[bytes], T]) -> T:
     info = session.info
+    fixed = {"model": _model_id(info, query), "moments": id_of(info, "moments", query.moments)}
     layers = layers_of(query.media)
-    parameters = parameters_list(info, query.parameters, query.tolerance)
-    fixed = {
-        "model": _model_id(info, query),
-        "moments": id_of(info, "moments", query.moments),
-        "parameter_count": len(parameters),
-        "layer_count": len(layers),
-    }
+    parameters = parameters_of(info, query.parameters, query.tolerance)
 
     def read(reply: bytes) -> T:
         try:
@@ -225,7 +217,7 @@ async def _table(session: Session, query: Query, make: Callable[[bytes], T]) -> 
             raise ProtocolError(f"a table reply that is not a table: {error}") from error
 
     payload = wire.PAYLOADS["table_request"].pack(
-        fixed, medium=layers.tobytes(), parameter=b"".join(parameters)
+        fixed, medium=layers.tobytes(), parameter=parameters
     )
     made = Request("table", payload, lambda: Once(read), query.deadline_ms)
     return await session.call(made)
@@ -307,13 +299,13 @@ def _replies(
     shape: Shape, read: Callable[[Joined], T], is_streamed: bool = False
 ) -> Callable[[], InParts[T]]:
     """Makes what reads the reply to an eval or sample request."""
-
-    def fits(fixed: Any) -> bool:
-        found = (wire.EVALUATOR_TYPES.get(fixed.evaluator), fixed.wanted, fixed.channel_count)
-        return found == (shape.value_type, shape.wanted, shape.medium_count)
-
     payload = "sample_reply" if shape.drawn else "eval_reply"
-    return lambda: InParts(payload, shape.radius_count, fits, read, is_streamed, alike=True)
+    same = {
+        "evaluator": {one for one, kind in wire.EVALUATOR_TYPES.items() if kind == shape.value_type},
+        "wanted": shape.wanted,
+        "channel_count": shape.medium_count,
+    }
+    return lambda: InParts(payload, shape.radius_count, same, read, is_streamed, alike=True)
 
 
 def _common_fields(joined: Joined, shape: Shape, info: Info) -> dict[str, Any]:
@@ -330,9 +322,7 @@ def _common_fields(joined: Joined, shape: Shape, info: Info) -> dict[str, Any]:
     errors = joined.heads[0]["errors"].view("<f8").reshape(shape.medium_count, -1, 3)
     quantities = sorted(info.choices["quantity"].values())
     return {
-        "model": name_of(info, "model", fixed.model),
-        "evaluator": name_of(info, "evaluator", fixed.evaluator),
-        "moments": name_of(info, "moments", fixed.moments),
+        **names_of_ids(info, fixed, "model", "evaluator", "moments"),
         "errors": {
             one.name: Errors(*errors[:, i].T)
             for i, one in enumerate(one for one in quantities if one.id & fixed.wanted)

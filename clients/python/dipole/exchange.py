@@ -10,7 +10,7 @@ from __future__ import annotations
 import random
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, Generic, NamedTuple, TypeVar
 
@@ -31,6 +31,7 @@ _REPEATABLE = (
     "eval", "sample", "invert", "fit", "fit_layers", "fit_tissue", "tissue", "varying", "points", "gather", "offers", "table", "media",
     "statistics", "ping", "mc",
 )  # fmt: skip
+_COUNTED = ("fitted_count", "missing_count", "computed_count")  # those of some items of a part
 _TEMPORARY = ("busy", "shutting-down", "timeout")
 
 
@@ -89,23 +90,23 @@ class Joined(NamedTuple):
 class InParts(Replies[T]):
     """A reply whose items come in parts, which this class checks and puts together.
 
-    payload: of each reply. count: how many items were requested. fits: whether a structure may
-    reply to the request. read: makes the caller's result of all, or if is_streamed of each part.
-    alike: whether parts may differ in nothing but their items.
+    payload: of each reply. count: how many items were requested. same: what fields of its structure
+    have to be, or the set that they are of. read: makes the caller's result of all, or if is_streamed
+    of each part. alike: whether parts may differ in nothing but their items.
     """
 
     def __init__(
         self,
         payload: str,
         count: int,
-        fits: Callable[[Any], bool],
+        same: Mapping[str, Any],
         read: Callable[[Joined], T],
         is_streamed: bool = False,
         alike: bool = False,
     ):
         super().__init__()
         self.is_streamed = is_streamed
-        self._payload, self._count, self._fits = wire.PAYLOADS[payload], count, fits
+        self._payload, self._count, self._same = wire.PAYLOADS[payload], count, same
         self._read, self._alike = read, alike
         self._parts: list[Joined] = []
         self._next = 0  # index of the first item of the next part
@@ -114,8 +115,12 @@ class InParts(Replies[T]):
         fixed, heads = self._payload.unpack(payload)
         arrays = {name: heads.pop(name) for name in self._payload.of_items}
         part = Joined([fixed], [heads], arrays)
-        if not self._fits(fixed):
-            raise self._wrong("that does not reply to the request")
+        for name, allowed in self._same.items():
+            found = getattr(fixed, name)
+            if found not in allowed if isinstance(allowed, set) else found != allowed:
+                raise self._wrong("that does not reply to the request")
+        if max(getattr(fixed, name, 0) for name in _COUNTED) > fixed.count:
+            raise self._wrong("that counts more than its items")
         if (fixed.part, fixed.first) != (len(self._parts), self._next):
             raise self._wrong("that is not the next part")
         left = self._count - self._next
@@ -146,10 +151,7 @@ class InParts(Replies[T]):
         if len(self._parts) == 1:
             return self._parts[0]
         replies = [part.replies[0] for part in self._parts]
-        arrays = {}
-        for name in self._payload.of_items:
-            arrays[name] = np.concatenate([part.arrays[name] for part in self._parts], axis=-1)
-            arrays[name].setflags(write=False)
+        arrays = {name: together(self._parts, name) for name in self._payload.of_items}
         return Joined(replies, [part.heads[0] for part in self._parts], arrays)
 
 
@@ -165,6 +167,31 @@ class Request(Generic[T]):
     def __post_init__(self) -> None:
         if not 0 <= self.deadline_ms < 1 << 32:
             raise ArgumentError("deadline_ms: a whole number from 0 to 4294967295")
+
+
+def pieces(
+    message: str,
+    items: range,
+    pack: Callable[[int, int], bytes],
+    same: Mapping[str, Any],
+    deadline_ms: int,
+) -> Iterator[Request[Joined]]:
+    """Yields the requests for many items, of which each has as many as the step of `items` says; one
+    if there are none. pack: makes the payload of the items from one index to another."""
+    for first in items or range(items.start, items.start + 1):
+        end = min(first + items.step, items.stop)
+
+        def replies(count: int = end - first) -> InParts[Joined]:
+            return InParts(f"{message}_reply", count, same, lambda whole: whole)
+
+        yield Request(message, pack(first, end), replies, deadline_ms)
+
+
+def together(found: list[Joined], name: str) -> Array:
+    """Returns an array over the items of all requests."""
+    array: Array = np.concatenate([one.arrays[name] for one in found], axis=-1)
+    array.setflags(write=False)
+    return array
 
 
 class _Pending:

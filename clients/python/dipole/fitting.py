@@ -3,15 +3,15 @@ readings of their reflectance."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
 
 from . import wire
-from .arguments import id_of, layers_of, media_array, name_of, parameters_list
+from .arguments import id_of, ids_of, layers_of, media_array, name_of, parameters_of
 from .errors import ArgumentError, naming
-from .exchange import InParts, Joined, Once, Request
+from .exchange import Joined, Once, Request, pieces, together
 from .session import Session
 from .values import Array, Estimate, Fits, LayersFit, Media, TissueFits
 
@@ -28,9 +28,13 @@ def _arrays(values: Any, errors: Any) -> tuple[Array, Array]:
     return readings, spread
 
 
-def _place(name: str, given: Any, readings: int) -> Array:
-    with naming(f"{name}: one number, or an array [{readings}]"):
-        return np.ascontiguousarray(np.broadcast_to(np.asarray(given, "<f8"), (readings,)))
+def _places(count: int, **given: Any) -> dict[str, bytes]:
+    """Returns what is given for each of the places of a set."""
+    found = {}
+    for name, one in given.items():
+        with naming(f"{name}: one number, or an array [{count}]"):
+            found[name] = np.broadcast_to(np.asarray(one, "<f8"), (count,)).tobytes()
+    return found
 
 
 async def fit(
@@ -76,77 +80,62 @@ async def fit(
         raise ArgumentError("eta: give the refractive index inside over outside: it has no default")
     readings, spread = _arrays(values, errors)
     count = readings.shape[-1]
-    scale_id = id_of(info, "scale", "reference" if reference is not None else scale)
-    listed = parameters_list(info, parameters)
+    scale = "reference" if reference is not None else scale
     design = {
-        "model": id_of(info, "model", model),
-        "moments": id_of(info, "moments", moments),
-        "axis": id_of(info, "axis", axis),
-        "scale": scale_id,
-        "reading_count": count,
-        "parameter_count": len(listed),
+        **ids_of(info, model=model, moments=moments, axis=axis, scale=scale),
         "g": float(g or 0.0),
         "eta": float(eta),
         "thickness": float(thickness),
     }
     medium = b""
-    if scale_id == wire.SCALE_REFERENCE:
+    if design["scale"] == wire.SCALE_REFERENCE:
         if reference is None:
             raise ArgumentError("reference: the medium whose readings the values were divided by")
         known = media_array(reference)
         if known.size != 5:
             raise ArgumentError("reference: one Medium")
         medium = known.tobytes()
-    given = {"at": at, "source": source, "detector": detector}
-    head = {name: _place(name, one, count).tobytes() for name, one in given.items()}
-    head |= {"parameter": b"".join(listed), "reference": medium}
-    lists = (readings.reshape(-1, count), spread.reshape(-1, count))
-    pieces: list[Joined] = []
-    requests = _requests(design, head, *lists, residuals, deadline_ms)
-    await session.each(requests, pieces.append, OUTSTANDING)
-    sets, remainders = (
-        np.concatenate([piece.arrays[name] for piece in pieces]) for name in ("sets", "residuals")
+    lists = _places(count, at=at, source=source, detector=detector)
+    lists |= {"parameter": parameters_of(info, parameters), "reference": medium}
+    fixed = {"residuals": int(residuals)}
+    same = {"reading_count": count if residuals else 0}
+    found = await _fit_sets(
+        session, "fit", [fixed, design], lists, readings, spread, count, same, deadline_ms
     )
-    sets.setflags(write=False)
-    shape = readings.shape[:-1]
-    names = {choice.id: name for name, choice in info.choices["fit_status"].items()}
     return Fits(
-        sets=sets.reshape(shape),
-        residuals=remainders.reshape(readings.shape) if residuals else None,
-        status_names=names,
+        sets=together(found, "sets").reshape(readings.shape[:-1]),
+        residuals=together(found, "residuals").reshape(readings.shape) if residuals else None,
+        status_names={choice.id: name for name, choice in info.choices["fit_status"].items()},
         g=float(g or 0.0),
         eta=float(eta),
         g_is_default=g is None,
     )
 
 
-def _requests(
-    design: dict[str, Any],
-    head: dict[str, bytes],
-    values: Array,
-    errors: Array,
-    wants_residuals: bool,
+async def _fit_sets(
+    session: Session,
+    message: str,
+    fixed: list[dict[str, Any]],
+    lists: dict[str, bytes],
+    readings: Array,
+    spread: Array,
+    count: int,
+    same: Mapping[str, Any],
     deadline_ms: int,
-) -> Iterator[Request[Joined]]:
-    """Yields the requests for all sets, one after the other. design, head: what they
-    share. values, errors: [sets, readings]."""
-    total, readings = values.shape
+) -> list[Joined]:
+    """Sends the sets of `count` readings each in several requests. fixed, lists: what all share."""
+    each = max(1, _REQUEST_BYTES // (16 * max(count, 1)))
+    sets = {"values": readings.reshape(-1, count), "errors": spread.reshape(-1, count)}
 
-    def fits(reply: Any) -> bool:
-        listed = readings if wants_residuals else 0
-        return bool(reply.reading_count == listed and 0 < reply.count >= reply.fitted_count)
+    def pack(first: int, end: int) -> bytes:
+        some = {name: one[first:end].tobytes() for name, one in sets.items()}
+        start = {"set_count": end - first, **fixed[0]}
+        return wire.PAYLOADS[f"{message}_request"].pack(start, *fixed[1:], **lists, **some)
 
-    each = max(1, _REQUEST_BYTES // (16 * max(readings, 1)))
-    for first in range(0, max(total, 1), each):
-        end = min(first + each, total)
-        fixed = {"set_count": end - first, "residuals": int(wants_residuals)}
-        arrays = {"values": values[first:end].tobytes(), "errors": errors[first:end].tobytes()}
-
-        def replies(count: int = end - first) -> InParts[Joined]:
-            return InParts("fit_reply", count, fits, lambda whole: whole)
-
-        payload = wire.PAYLOADS["fit_request"].pack(fixed, design, **head, **arrays)
-        yield Request("fit", payload, replies, deadline_ms)
+    found: list[Joined] = []
+    total = range(0, len(sets["values"]), each)
+    await session.each(pieces(message, total, pack, same, deadline_ms), found.append, OUTSTANDING)
+    return found
 
 
 async def fit_layers(
@@ -170,15 +159,11 @@ async def fit_layers(
     info = session.info
     stack = layers_of(layers)
     readings, spread = _arrays(values, errors)
-    places = _place("at", at, readings.size)
     fixed = {
         "scale": id_of(info, "scale", scale),
         "unknowns": sum({id_of(info, "unknown", name) for name in unknowns}),
-        "layer_count": len(stack),
-        "reading_count": readings.size,
     }
-    arrays = {"at": places, "values": readings, "errors": spread}
-    lists = {name: one.tobytes() for name, one in arrays.items()}
+    lists = _places(readings.size, at=at, values=readings.reshape(-1), errors=spread.reshape(-1))
     payload = wire.PAYLOADS["fit_layers_request"].pack(fixed, medium=stack.tobytes(), **lists)
 
     def read(reply: bytes) -> LayersFit:
@@ -243,67 +228,39 @@ async def fit_tissue(
         raise ArgumentError(
             f"values: an array [..., {wavelengths.size}, {places.size}] for these wavelengths and places"
         )
-    listed = parameters_list(info, properties, kind="property")
     with naming("sought: names, or a mapping of names to (low, high) or None"):
         packed = [
             wire.SOUGHT.pack(property=id_of(info, "property", one), low=low, high=high)
             for one, (low, high) in ((one, pair or (0, 0)) for one, pair in limits.items())
         ]
-    head = {
-        "model": id_of(info, "model", model),
-        "axis": id_of(info, "axis", axis),
-        "scale": id_of(info, "scale", scale),
-        "residuals": int(residuals),
+    ids = ids_of(info, model=model, axis=axis, scale=scale, haemoglobin=haemoglobin)
+    fixed = {
+        **ids,
         "tissue": 0 if name is None else id_of(info, "tissue", name),
-        "haemoglobin": id_of(info, "haemoglobin", haemoglobin),
-        "property_count": len(listed),
-        "sought_count": len(packed),
-        "wavelength_count": wavelengths.size,
-        "place_count": places.size,
+        "residuals": int(residuals),
         "detector_na": float(detector_na),
     }
-    given = {"at": places, "source": source, "detector": detector}
-    lists = {one: _place(one, array, places.size).tobytes() for one, array in given.items()}
-    lists |= {"property": b"".join(listed), "sought": b"".join(packed)}
-    lists["wavelength"] = wavelengths.tobytes()
+    lists = _places(places.size, at=places, source=source, detector=detector)
+    lists |= {"sought": b"".join(packed), "wavelength": wavelengths.tobytes()}
+    lists["property"] = parameters_of(info, properties, kind="property")
     count, size = wavelengths.size * places.size, len(packed)
-    sets = (readings.reshape(-1, count), spread.reshape(-1, count))
-    pieces: list[Joined] = []
-    expected = (count if residuals else 0, size, head["haemoglobin"])
-
-    def fits(reply: Any) -> bool:
-        found = (reply.reading_count, reply.sought_count, reply.haemoglobin)
-        return bool(found == expected and 0 < reply.count >= reply.fitted_count)
-
-    def requests() -> Iterator[Request[Joined]]:
-        each = max(1, _REQUEST_BYTES // (16 * max(count, 1)))
-        for first in range(0, max(len(sets[0]), 1), each):
-            some = [one[first : first + each] for one in sets]
-            fixed = head | {"set_count": len(some[0])}
-            arrays = {"values": some[0].tobytes(), "errors": some[1].tobytes()}
-
-            def replies(total: int = len(some[0])) -> InParts[Joined]:
-                return InParts("fit_tissue_reply", total, fits, lambda whole: whole)
-
-            payload = wire.PAYLOADS["fit_tissue_request"].pack(fixed, **lists, **arrays)
-            yield Request("fit_tissue", payload, replies, deadline_ms)
-
-    await session.each(requests(), pieces.append, OUTSTANDING)
-    shape = readings.shape[:-2]
-    found = {
-        one: np.concatenate([piece.arrays[one].reshape(-1) for piece in pieces])
-        for one in ("sets", "estimates", "covariance", "residuals")
+    same = {
+        "reading_count": count if residuals else 0,
+        "sought_count": size,
+        "haemoglobin": ids["haemoglobin"],
     }
-    estimates = found["estimates"].reshape(*shape, size)
+    found = await _fit_sets(
+        session, "fit_tissue", [fixed], lists, readings, spread, count, same, deadline_ms
+    )
+    shape = readings.shape[:-2]
+    estimates = together(found, "estimates").reshape(*shape, size)
+    kinds = estimates["property"].reshape(-1, size)[:1].ravel().tolist()
     return TissueFits(
-        found["sets"].reshape(shape),
-        {
-            name_of(info, "property", int(found["estimates"]["property"][k])): estimates[..., k]
-            for k in range(size if estimates.size else 0)
-        },
-        found["covariance"].reshape(*shape, size, size),
-        found["residuals"].reshape(readings.shape) if residuals else None,
+        together(found, "sets").reshape(shape),
+        {name_of(info, "property", kind): estimates[..., k] for k, kind in enumerate(kinds)},
+        together(found, "covariance").reshape(*shape, size, size),
+        together(found, "residuals").reshape(readings.shape) if residuals else None,
         {choice.id: one for one, choice in info.choices["fit_status"].items()},
-        name_of(info, "haemoglobin", int(head["haemoglobin"])),
-        *pieces[0].replies[0][-2:],
+        name_of(info, "haemoglobin", ids["haemoglobin"]),
+        *found[0].replies[0][-2:],
     )

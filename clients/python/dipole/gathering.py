@@ -17,10 +17,10 @@ from typing import Any
 import numpy as np
 
 from . import wire
-from .arguments import id_of, media_array, name_of, notes_of, parameters_list
+from .arguments import ids_of, media_array, names_of_ids, notes_of, parameters_of
 from .session import Session
 from .errors import ArgumentError, ProtocolError, Refused, naming
-from .exchange import InParts, Joined, Once, Request
+from .exchange import Joined, Once, Request, pieces, together
 from .library import Handle, address, call
 from .library import library as load
 from .table import Table
@@ -145,41 +145,34 @@ async def gather(
         order = _order(places)
         places = places[order]
     channels = points.channels
-    array, structures = media_array(media), parameters_list(info, parameters)
+    array = media_array(media)
+    ids = ids_of(info, model=model, evaluator=evaluator, moments=moments)
     fixed: dict[str, Any] = {
-        "model": id_of(info, "model", model),
-        "evaluator": id_of(info, "evaluator", evaluator),
-        "moments": id_of(info, "moments", moments),
-        "parameter_count": len(structures),
+        **ids,
         "medium_count": len(array),
         "layer_count": array.shape[1],
         "set": _words(points.name),
         "tolerance": float(tolerance),
     }
-    head = {"medium": array.tobytes(), "parameter": b"".join(structures)}
+    head = {"medium": array.tobytes(), "parameter": parameters_of(info, parameters)}
     most = _PART_QUERIES
     if tolerance == 0:
         most = max(1, min(most, _PART_PAIRS // max(1, len(points) * channels)))
-    pieces: list[Joined] = []
+    found: list[Joined] = []
     done = 0
 
-    def fits(reply: Any) -> bool:
-        return bool(reply.channel_count == channels)
+    def pack(first: int, end: int) -> bytes:
+        request = {"query_count": end - first, **fixed}
+        part = places[first:end].tobytes()
+        return wire.PAYLOADS["gather_request"].pack(request, xyz=part, **head)
 
     def requests(end: int) -> Iterator[Request[Joined]]:
-        for first in range(done, end, most):
-            part = places[first : min(first + most, end)]
-            request = {"query_count": len(part), **fixed}
-            payload = wire.PAYLOADS["gather_request"].pack(request, xyz=part.tobytes(), **head)
-
-            def replies(count: int = len(part)) -> InParts[Joined]:
-                return InParts("gather_reply", count, fits, lambda whole: whole)
-
-            yield Request("gather", payload, replies, deadline_ms)
+        some = range(done, min(end, len(places)), most)
+        return pieces("gather", some, pack, {"channel_count": channels}, deadline_ms)
 
     def take(piece: Joined) -> None:
         nonlocal done
-        pieces.append(piece)
+        found.append(piece)
         count = len(piece.arrays["M"]) // channels
         done += count
         if count and progress is not None and progress(done, len(places)) is False:
@@ -187,11 +180,12 @@ async def gather(
 
     sent_times = 0
     try:
-        while done < len(places) or not pieces:
+        while done < len(places) or not found:
             before = done
             try:  # Others than the first would be refused, too, if the daemon lacks the points.
                 await session.each(requests(before + most), take, cancels=True)
-                await session.each(requests(len(places)), take, OUTSTANDING, cancels=True)
+                if done < len(places):
+                    await session.each(requests(len(places)), take, OUTSTANDING, cancels=True)
             except Refused as error:
                 sent_times = 1 if done > before else sent_times + 1
                 if error.status != "unknown-points" or sent_times > _SENT_MOST:
@@ -200,16 +194,14 @@ async def gather(
     except _Stopped:
         pass
     sums = np.full((len(places), channels), np.nan)
-    found = np.concatenate([piece.arrays["M"] for piece in pieces]).reshape(-1, channels)
-    sums[slice(done) if order is None else order[:done]] = found
+    computed = together(found, "M").reshape(-1, channels)
+    sums[slice(done) if order is None else order[:done]] = computed
     sums = sums.reshape(*listed.shape[:-1], channels)
     sums.setflags(write=False)
-    replies = [reply for piece in pieces for reply in piece.replies]
-    stated = np.stack([head["errors"] for piece in pieces for head in piece.heads])
+    replies = [reply for piece in found for reply in piece.replies]
+    stated = np.stack([head["errors"] for piece in found for head in piece.heads])
     return Gathered(
-        model=name_of(info, "model", fixed["model"]),
-        moments=name_of(info, "moments", fixed["moments"]),
-        evaluator=name_of(info, "evaluator", fixed["evaluator"]),
+        **names_of_ids(info, ids, *ids),
         tolerance=fixed["tolerance"],
         M=sums,
         bound=max(reply.bound for reply in replies),

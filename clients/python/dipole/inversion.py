@@ -7,12 +7,11 @@ from typing import Any
 import numpy as np
 
 from . import wire
-from .arguments import id_of, name_of
+from .arguments import ids_of, names_of_ids
 from .errors import ProtocolError, naming
 from .exchange import InParts, Joined, Request
 from .session import Session
 from .values import Inversion
-
 
 
 async def invert(
@@ -41,22 +40,12 @@ async def invert(
     info = session.info
     with naming("albedo, length"):
         albedos, lengths = np.broadcast_arrays(np.asarray(albedo, "<f8"), np.asarray(length, "<f8"))
-    fixed: dict[str, Any] = {
-        "model": id_of(info, "model", model),
-        "moments": id_of(info, "moments", moments),
-        "given": id_of(info, "length", given),
-        "light": id_of(info, "light", light),
-        "specular": bool(specular),
-        "medium_count": albedos.size,
-        "g": float(g),
-        "eta": float(eta),
-    }
-    arrays = {"albedo": albedos.tobytes(), "length": lengths.tobytes()}
-    payload = wire.PAYLOADS["invert_request"].pack(fixed, **arrays)
-
-    def fits(reply: Any) -> bool:
-        requested = all(getattr(reply, name) == fixed[name] for name in ("model", "moments", "given"))
-        return requested and 0 < reply.count >= reply.missing_count
+    ids = ids_of(info, model=model, moments=moments, length=given, light=light)
+    same = {"given": ids.pop("length"), "model": ids["model"], "moments": ids["moments"]}
+    fixed = {"specular": bool(specular), "g": float(g), "eta": float(eta), **ids, **same}
+    payload = wire.PAYLOADS["invert_request"].pack(
+        fixed, albedo=albedos.tobytes(), length=lengths.tobytes()
+    )
 
     def read(whole: Joined) -> Inversion:
         reach, *others = {(one.albedo_least, one.albedo_most) for one in whole.replies}
@@ -64,12 +53,11 @@ async def invert(
             raise ProtocolError("parts of an invert reply that do not belong together")
         sigma_a, sigma_s, found = (one.reshape(albedos.shape) for one in whole.arrays.values())
         return Inversion(
-            model=name_of(info, "model", fixed["model"]),
-            moments=name_of(info, "moments", fixed["moments"]),
+            **names_of_ids(info, ids, "model", "moments"),
             sigma_a=sigma_a,
             sigma_s=sigma_s,
-            g=fixed["g"],
-            eta=fixed["eta"],
+            g=float(g),
+            eta=float(eta),
             albedo=found,
             albedo_least=reach[0],
             albedo_most=reach[1],
@@ -77,6 +65,6 @@ async def invert(
         )
 
     def replies() -> InParts[Inversion]:
-        return InParts("invert_reply", albedos.size, fits, read)
+        return InParts("invert_reply", albedos.size, same, read)
 
     return await session.call(Request("invert", payload, replies, deadline_ms))

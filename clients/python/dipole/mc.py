@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from . import wire
-from .arguments import id_of, layers_of, parameters_list
+from .arguments import id_of, layers_of, parameters_of
 from .session import Session
 from .errors import ArgumentError, DipoleError, ProtocolError
 from .exchange import Replies, Request
@@ -69,7 +69,7 @@ async def mc(
     spacing = id_of(info, "spacing", edges.spacing)
     numbers = (photons, error_total, error_rings, albedos, seed)
     payload = pack_request(medium, edges, spacing, *numbers)
-    payload += b"".join(parameters_list(info, parameters))
+    payload += parameters_of(info, parameters)
     job = await session.send(Request("mc", payload, _McReplies))
     cancelled = reporting = False
     try:
@@ -109,11 +109,9 @@ def pack_request(
     layers, listed = layers_of(medium), np.asarray(list(albedos), "<f8")
     fixed = {
         "spacing": spacing,
-        "albedo_count": len(listed),
         "ring_count": whole(edges.count) - 1,
         "radius_start": edges.start_mm,
         "radius_stop": edges.stop_mm,
-        "layer_count": len(layers),
         "seed": whole(seed),
         "photons": whole(photons),
         "error_total": error_total,

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from . import wire
-from .arguments import id_of, parameters_list
+from .arguments import id_of, parameters_of
 from .errors import ProtocolError, naming
 from .exchange import Once, Request
 from .session import Session
@@ -36,15 +36,14 @@ async def tissue(
     info = session.info
     with naming("wavelengths_nm: one number, or an array [N]"):
         wavelengths = np.asarray(wavelengths_nm, "<f8").reshape(-1)
-    listed = parameters_list(info, properties, kind="property")
     fixed = {
         "tissue": 0 if name is None else id_of(info, "tissue", name),
         "haemoglobin": id_of(info, "haemoglobin", haemoglobin),
-        "property_count": len(listed),
-        "wavelength_count": wavelengths.size,
     }
-    lists = {"property": b"".join(listed), "wavelength": wavelengths.tobytes()}
-    payload = wire.PAYLOADS["tissue_request"].pack(fixed, **lists)
+    listed = parameters_of(info, properties, kind="property")
+    payload = wire.PAYLOADS["tissue_request"].pack(
+        fixed, property=listed, wavelength=wavelengths.tobytes()
+    )
 
     def read(reply: bytes) -> list[Medium]:
         found, parts = wire.PAYLOADS["tissue_reply"].unpack(reply)

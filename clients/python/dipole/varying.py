@@ -3,93 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from . import wire
-from .arguments import id_of, name_of, notes_of, parameters_list
+from .arguments import id_of, ids_of, names_of_ids, notes_of, parameters_of
 from .session import Session
 from .errors import ArgumentError, naming
-from .exchange import InParts, Joined, Request
+from .exchange import Joined, pieces, together
 from .values import Array, Info, Varying
 
 VALUES_MOST = 1 << 20  # most values of one request: some megabytes
 
 _WANTED = {wire.VARYING_NONE: (), wire.VARYING_RADII: ("R",), wire.VARYING_DRAWN: ("r",)}
-
-
-class Plan(NamedTuple):
-    """What varying() requests. The arrays have been broadcast and flattened."""
-
-    info: Info
-    shape: tuple[int, ...]
-    fixed: dict[str, Any]  # fields of the request, except value_count
-    parameters: list[bytes]
-    arrays: dict[str, Array]  # arrays by the name of their part
-    wanted: dict[int, str]  # names of quantities by bit, in the order of a reply's arrays
-    coefficients: dict[int, str]
-    type: str
-    deadline_ms: int
-
-    def requests(self) -> list[Request[Joined]]:
-        """The requests, each of at most VALUES_MOST values."""
-        count = int(np.prod(self.shape))
-        firsts = range(0, max(count, 1), VALUES_MOST)
-        return [self._request(first, min(count - first, VALUES_MOST)) for first in firsts]
-
-    def _request(self, first: int, count: int) -> Request[Joined]:
-        fixed = {"value_count": count, **self.fixed}
-        arrays = {name: one[first : first + count].tobytes() for name, one in self.arrays.items()}
-        payload = wire.PAYLOADS["varying_request"].pack(
-            fixed, parameter=b"".join(self.parameters), **arrays
-        )
-
-        def replies() -> InParts[Joined]:
-            return InParts("varying_reply", count, self._fits, lambda whole: whole)
-
-        return Request("varying", payload, replies, self.deadline_ms)
-
-    def _fits(self, reply: Any) -> bool:
-        requested = ("model", "evaluator", "moments", "wanted", "coefficients")
-        return all(getattr(reply, name) == self.fixed[name] for name in requested)
-
-    def join(self, pieces: list[Joined]) -> Varying:
-        """Makes the result of the replies to all requests."""
-        info, fixed = self.info, self.fixed
-        replies = [reply for piece in pieces for reply in piece.replies]
-        last = replies[-1]
-        media, values, statuses = (
-            np.concatenate([piece.arrays[name] for piece in pieces], axis=-1)
-            for name in ("coefficients", "values", "statuses")
-        )
-        arrays = [array.reshape(self.shape) for array in (*media, *values)]
-        statuses = statuses.reshape(self.shape)
-        for array in (*arrays, statuses):
-            array.setflags(write=False)
-        coefficients = dict(zip(self.coefficients.values(), arrays, strict=False))
-        found = set(np.unique(statuses).tolist()) - set(wire.VALUES_COMPUTED)
-        return Varying(
-            model=name_of(info, "model", fixed["model"]),
-            moments=name_of(info, "moments", fixed["moments"]),
-            evaluator=name_of(info, "evaluator", fixed["evaluator"]),
-            g=fixed["g"],
-            eta=fixed["eta"],
-            quantities=dict(zip(self.wanted.values(), arrays[len(coefficients) :], strict=True)),
-            coefficients=coefficients,
-            statuses=statuses,
-            faults={
-                choice.name: choice.about
-                for choice in info.choices["value"].values()
-                if choice.id in found
-            },
-            notes=notes_of(info, last.notes),
-            numerical_error=float(np.max([reply.numerical_error for reply in replies])),
-            model_error=float(np.max([reply.model_error for reply in replies])),
-            colour_least=last.colour_least,
-            colour_most=last.colour_most,
-            specular=last.specular,
-        )
 
 
 def _bits(info: Info, kind: str, names: str | Iterable[str]) -> dict[int, str]:
@@ -168,6 +95,8 @@ async def varying(
     type = wire.EVALUATOR_TYPES.get(evaluator_id, "<f8")
     with naming(", ".join(arrays)):
         listed = np.broadcast_arrays(*(np.asarray(array, type) for array in arrays.values()))
+    shape, count = listed[0].shape, listed[0].size
+    flat = [np.ascontiguousarray(array).ravel() for array in listed]
     usual = _WANTED[numbers]
     wanted_bits = _bits(info, "quantity", usual if wanted is None else wanted)
     # model_error has no array, and is always requested
@@ -175,33 +104,49 @@ async def varying(
     if coefficients is None:
         coefficients = ("sigma_a", "sigma_s") if coloured and numbers == wire.VARYING_NONE else ()
     coefficient_bits = _bits(info, "coefficient", coefficients)
-    parameter_structures = parameters_list(info, parameters, tolerance)
-    plan = Plan(
-        info=info,
-        shape=listed[0].shape,
-        fixed={
-            "model": id_of(info, "model", model),
-            "evaluator": evaluator_id,
-            "moments": id_of(info, "moments", moments),
-            "wanted": sum({*wanted_bits, wire.QUANTITY_MODEL_ERROR}),
-            "coefficients": sum(coefficient_bits),
-            "given": id_of(info, "length", given) if coloured else 0,
-            "light": id_of(info, "light", light) if coloured else 0,
-            "specular": int(specular) if coloured else 0,
-            "numbers": numbers,
-            "parameter_count": len(parameter_structures),
-            "g": float(g),
-            "eta": float(eta),
-        },
-        parameters=parameter_structures,
-        arrays={
-            name: np.ascontiguousarray(array).ravel() for name, array in zip(arrays, listed)
-        },
-        wanted=wanted_bits,
-        coefficients=coefficient_bits,
-        type=type,
-        deadline_ms=deadline_ms,
+    same = {
+        **ids_of(info, model=model, moments=moments),
+        "evaluator": evaluator_id,
+        "wanted": sum({*wanted_bits, wire.QUANTITY_MODEL_ERROR}),
+        "coefficients": sum(coefficient_bits),
+    }
+    fixed: dict[str, Any] = {
+        **same,
+        "given": id_of(info, "length", given) if coloured else 0,
+        "light": id_of(info, "light", light) if coloured else 0,
+        "specular": int(specular) if coloured else 0,
+        "numbers": numbers,
+        "g": float(g),
+        "eta": float(eta),
+    }
+    listed_parameters = parameters_of(info, parameters, tolerance)
+
+    def pack(first: int, end: int) -> bytes:
+        some = {name: one[first:end].tobytes() for name, one in zip(arrays, flat)}
+        start = {"value_count": end - first, **fixed}
+        return wire.PAYLOADS["varying_request"].pack(start, parameter=listed_parameters, **some)
+
+    found: list[Joined] = []
+    total = range(0, count, VALUES_MOST)
+    await session.each(pieces("varying", total, pack, same, deadline_ms), found.append)
+    media, values, statuses = (
+        together(found, name) for name in ("coefficients", "values", "statuses")
     )
-    pieces: list[Joined] = []
-    await session.each(plan.requests(), pieces.append)
-    return plan.join(pieces)
+    replies = [reply for piece in found for reply in piece.replies]
+    last = replies[-1]
+    faults = set(np.unique(statuses).tolist()) - set(wire.VALUES_COMPUTED)
+    return Varying(
+        **names_of_ids(info, same, "model", "moments", "evaluator"),
+        g=fixed["g"],
+        eta=fixed["eta"],
+        quantities={name: one.reshape(shape) for name, one in zip(wanted_bits.values(), values)},
+        coefficients={name: one.reshape(shape) for name, one in zip(coefficient_bits.values(), media)},
+        statuses=statuses.reshape(shape),
+        faults={one.name: one.about for one in info.choices["value"].values() if one.id in faults},
+        notes=notes_of(info, last.notes),
+        numerical_error=float(np.max([reply.numerical_error for reply in replies])),
+        model_error=float(np.max([reply.model_error for reply in replies])),
+        colour_least=last.colour_least,
+        colour_most=last.colour_most,
+        specular=last.specular,
+    )

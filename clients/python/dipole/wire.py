@@ -92,7 +92,8 @@ class Structure:
         self.fields = tuple(Field(kind, field, int(count or 1)) for kind, field, count in parts)
         formats = (f"{field.count}{_FORMATS[field.kind]}" for field in self.fields)
         self._struct = struct.Struct("<" + "".join(formats))
-        self._tuple = namedtuple(name, [field.name for field in self.fields])  # type: ignore[misc]
+        self.names = [field.name for field in self.fields]
+        self._tuple = namedtuple(name, self.names)  # type: ignore[misc]
         self.bytes = self._struct.size  # size of the structure in bytes
 
     def pack(self, **values: Any) -> bytes:
@@ -197,6 +198,12 @@ class Part:
         assert match is not None
         self.element, self.name, products, self._how, self._if, self._is = match.groups()
         self._products = re.findall(r"\[([^\]]*)\]", products)
+        # The field that alone counts its elements, if their size is known, and that size.
+        structure = STRUCTURES.get(self.element)
+        kind = _NUMBERS.get(self.element, "V0")
+        self.each = structure.bytes if structure is not None else np.dtype(kind).itemsize
+        alone = len(self._products) == 1 and self._products[0].isidentifier() and self.each
+        self.counted_by = self._products[0] if alone else None
         # Whether its elements are of the items that a reply in parts counts.
         self.is_of_items = bool(self._products) and "count" in self._products[-1].split("*")
 
@@ -232,14 +239,22 @@ class Payload:
         self.of_items = [part.name for part in self._parts if part.is_of_items]
 
     def pack(self, *fixed: Mapping[str, Any], **parts: Any) -> bytes:
-        """Returns the bytes of a payload. fixed: the fields of its structures. parts: bytes, or
-        arrays that hold them, by name; those that are not given have no elements."""
-        pieces = [one.pack(**given) for one, given in zip(self._structures, fixed, strict=True)]
+        """Returns the bytes of a payload. fixed: the fields of its structures, of which counts may be
+        left out. parts: bytes, or arrays that hold them, by name; those that are not given have no
+        elements."""
+        pieces: list[bytes | memoryview] = []
+        counts: dict[str, int] = {}
         for part in self._parts:
             data = memoryview(parts.pop(part.name, b"")).cast("B")
             pieces += [data, bytes(padded(len(data)) - len(data))]
+            if part.counted_by is not None:
+                counts.setdefault(part.counted_by, len(data) // part.each)
         assert not parts, parts
-        return b"".join(pieces)
+        starts = (
+            one.pack(**{name: counts[name] for name in one.names if name in counts} | given)
+            for one, given in zip(self._structures, fixed, strict=True)
+        )
+        return b"".join([*starts, *pieces])
 
     def unpack(self, payload: bytes) -> tuple[Any, dict[str, Any]]:
         """Returns the first structure, and the parts by name: arrays, or lists of structures that

@@ -36,14 +36,15 @@ chosen = client.eval(None, skin, r, tolerance=0.01)
 off = (chosen.model_error[:, None] + chosen.numerical_error()).max()
 print(f"\nwithin 1 %: {chosen.model} by {chosen.evaluator}, at most {off:.1g} off")
 
-# %% Monte Carlo gives means over rings. A model's means over the same rings stand beside them.
+# %% Monte Carlo gives means over rings. A model's are the light between the edges over the area.
 walked = client.mc(skin[0], dipole.Grid(0.2, 10, 11, "logarithmic"), photons=300_000)
-means = client.ring_means("transport", skin[0], walked.edges)
-deviation = (walked.R[0] - means.R[0]) / walked.R_error[0]  # in standard errors
+light = client.eval("transport", skin[0], walked.edges, wanted=["cdf", "albedo"])
+means = light.albedo[0] * np.diff(light.cdf[0]) / (np.pi * np.diff(walked.edges**2))
+deviation = (walked.R[0] - means) / walked.R_error[0]  # in standard errors
 print("\nred, rings of mm     Monte Carlo   transport   apart by")
 for i in range(0, len(deviation), 3):
     ring = f"{walked.edges[i]:.3f} to {walked.edges[i + 1]:.3f}"
-    print(f"{ring:16} {walked.R[0, i]:15.4g} {means.R[0, i]:11.4g} {deviation[i]:+8.1f} errors")
+    print(f"{ring:16} {walked.R[0, i]:15.4g} {means[i]:11.4g} {deviation[i]:+8.1f} errors")
 
 # %% values() broadcasts media and radii: the fraction of light within 1 mm, for 40 x 50 media.
 sigma_a = np.geomspace(0.01, 1, 40)[:, None]
