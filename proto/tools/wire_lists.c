@@ -184,17 +184,7 @@ static void put_command(const char *pattern, unsigned forms, const char *paramet
 static void put_scpi(void) {
   enum { SET = 1, QUERY, BOTH, TAKE };
   print_form("'scpi':[");
-#define SCPI_COMMAND(pattern, FORMS, function, number, parameters, about)                          \
-  put_command(pattern, FORMS, parameters, about);
-#define SCPI_REGISTER(pattern, FORMS, member, most, about)                                         \
-  put_command(pattern, FORMS, FORMS == BOTH ? "<n>" : "", about);
-#define SCPI_FIELDS(pattern, function, member, structure, parameters, about)                       \
-  put_command(pattern, BOTH, parameters, about);
-#define SCPI_NUMBERS(pattern, FORMS, LIST, parameters, about)                                      \
-  put_command(pattern, FORMS, parameters, about);
-#define SCPI_QUANTITY(pattern, QUANTITY, parameters, about)                                        \
-  put_command(pattern, QUERY, parameters, about);
-#define SCPI_REPLY(pattern, TASK, part, structure, fields) put_command(pattern, QUERY, "", fields);
+#define SCPI_ROW(...) put_command(__VA_ARGS__);
 #include "proto/scpi.def"
   print_form("0],");
 }

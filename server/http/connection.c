@@ -50,12 +50,12 @@ struct http_connection {
   unsigned refused;  /* the status of HTTP by which the header or the body is refused; 0: none */
   wire_error refusal;
   struct route route;
-  struct http_text query;   /* of the URI, with a zero byte behind it; empty if there is none */
-  struct http_text body;    /* body of the request, as far as it has arrived */
-  struct http_text payload; /* payload of the same request in the binary protocol */
-  struct http_text reply;   /* payload of its reply */
-  bool g_is_default;        /* whether the request left g out */
-  struct http_text text;    /* the body of the reply, which libmicrohttpd sends from here */
+  struct text query;   /* of the URI, with a zero byte behind it; empty if there is none */
+  struct text body;    /* body of the request, as far as it has arrived */
+  struct text payload; /* payload of the same request in the binary protocol */
+  struct text reply;   /* payload of its reply */
+  bool g_is_default;   /* whether the request left g out */
+  struct text text;    /* the body of the reply, which libmicrohttpd sends from here */
 
   struct run run;
   uint64_t arrived_ns;   /* when the request had arrived */
@@ -98,11 +98,11 @@ static void open_connection(struct http_host *host, struct MHD_Connection *handl
   c->host = host;
   c->handle = handle;
   c->fd = MHD_get_connection_info(handle, MHD_CONNECTION_INFO_CONNECTION_FD)->connect_fd;
-  http_text_init(&c->query, &host->buffers);
-  http_text_init(&c->body, &host->buffers);
-  http_text_init(&c->payload, &host->buffers);
-  http_text_init(&c->reply, &host->buffers);
-  http_text_init(&c->text, &host->buffers);
+  text_init(&c->query, &host->buffers);
+  text_init(&c->body, &host->buffers);
+  text_init(&c->payload, &host->buffers);
+  text_init(&c->reply, &host->buffers);
+  text_init(&c->text, &host->buffers);
   run_init(&c->run, &sink, c);
   host->connection_count++;
   worker_adopt(host->worker, &c->client);
@@ -110,23 +110,23 @@ static void open_connection(struct http_host *host, struct MHD_Connection *handl
 }
 
 static void forget_request(struct http_connection *c) {
-  http_text_free(&c->body);
-  http_text_reset(&c->query);
-  http_text_reset(&c->payload);
-  http_text_reset(&c->reply);
-  http_text_reset(&c->text);
+  text_free(&c->body);
+  text_reset(&c->query);
+  text_reset(&c->payload);
+  text_reset(&c->reply);
+  text_reset(&c->text);
 }
 
 static void free_texts(struct http_connection *c) {
-  http_text_free(&c->query);
-  http_text_free(&c->payload);
-  http_text_free(&c->reply);
-  http_text_free(&c->text);
+  text_free(&c->query);
+  text_free(&c->payload);
+  text_free(&c->reply);
+  text_free(&c->text);
 }
 
 /* The library closes no connection whose job runs, so the client is in no queue of the worker. */
 static void close_connection(struct http_connection *c) {
-  http_text_free(&c->body);
+  text_free(&c->body);
   free_texts(c);
   worker_forget(&c->client);
   c->host->connection_count--;
@@ -162,7 +162,7 @@ static void refuse_uri(struct http_connection *c) {
       WIRE_STATUS_TOO_LARGE, "query", "32 KiB with its names; the body of a POST may be larger");
   char head[160], rest[4096];
   health_note_refusal(c->host->server, &error);
-  http_text_reset(&c->text);
+  text_reset(&c->text);
   http_reply_write_error(&error, &c->text);
   const int length = snprintf(head, sizeof head,
                               "HTTP/1.1 414 URI Too Long\r\nConnection: close\r\n"
@@ -185,9 +185,9 @@ void *http_connection_begin(void *context, const char *uri, struct MHD_Connectio
   (void)context;
   if (c != NULL) {
     const char *query = strchr(uri, '?');
-    http_text_reset(&c->query);
+    text_reset(&c->query);
     if (query != NULL) {
-      http_text_add(&c->query, query + 1, strlen(query));
+      text_add(&c->query, query + 1, strlen(query));
     }
     c->state = AWAITS;
     if (library_bytes(uri) > HTTP_CONNECTION_BYTES - HEADER_BYTES) {
@@ -263,7 +263,7 @@ static enum MHD_Result send_text(struct http_connection *c, unsigned status,
 static enum MHD_Result send_error(struct http_connection *c, const wire_error *error,
                                   unsigned status) {
   health_note_refusal(c->host->server, error);
-  http_text_free(&c->text); /* discards what was written before the error */
+  text_free(&c->text); /* discards what was written before the error */
   const unsigned usual = http_reply_write_error(error, &c->text);
   return send_text(c, status != 0 ? status : usual, error->retry_after_ms);
 }
@@ -280,9 +280,9 @@ static wire_error too_large(const struct http_connection *c, const char *field) 
 /* Frees what has become the text of a reply, if it is much, so that a slow reader holds the text
  * alone. */
 static void free_payloads(struct http_connection *c) {
-  http_text_reset(&c->payload);
-  http_text_reset(&c->reply);
-  http_text_trim(&c->text);
+  text_reset(&c->payload);
+  text_reset(&c->reply);
+  text_trim(&c->text);
 }
 
 static void write_reply(struct http_connection *c) {
@@ -330,7 +330,7 @@ static uint8_t *reserve_reply(void *owner, const struct job *job, wire_error *er
     *error = too_large(c, size_field(c));
     return NULL;
   }
-  char *room = http_text_room(&c->reply, (size_t)job->part_bytes);
+  char *room = text_room(&c->reply, (size_t)job->part_bytes);
   c->reply.count = room != NULL ? (size_t)job->part_bytes : 0;
   *error = buffers_full();
   return (uint8_t *)room;
@@ -443,14 +443,14 @@ static bool find_route(const char *url, struct route *route) {
 /* Translates a request into the payload of a message. */
 static wire_error translate(struct http_connection *c, uint32_t *deadline_ms) {
   static char none[1];
-  const struct http_text *from = c->has_body ? &c->body : &c->query;
+  const struct text *from = c->has_body ? &c->body : &c->query;
   const wire_error error =
       c->query.failed
           ? buffers_full()
           : http_request_translate(
                 c->route.message, from->count > 0 ? from->bytes : none, from->count, !c->has_body,
                 &c->payload, (size_t)options_of(c)->max_part_bytes, deadline_ms, &c->g_is_default);
-  http_text_free(&c->body);
+  text_free(&c->body);
   return error;
 }
 
@@ -490,7 +490,7 @@ static enum MHD_Result handle_request(struct http_connection *c) {
   case LISTS: {
     uint8_t bytes[WIRE_BYTES_hello_request];
     wire_put_hello_request(bytes, &hello);
-    http_text_add(&c->payload, (const char *)bytes, sizeof bytes);
+    text_add(&c->payload, (const char *)bytes, sizeof bytes);
     return start_job(c, WIRE_TYPE_HELLO, 0);
   }
   case MEDIA:
@@ -595,9 +595,9 @@ static enum MHD_Result take_body(struct http_connection *c, const char *body, si
     c->refused = wire_status_http(c->refusal.status);
   }
   if (c->refused == 0) {
-    http_text_add(&c->body, body, *body_bytes);
+    text_add(&c->body, body, *body_bytes);
   } else {
-    http_text_free(&c->body);
+    text_free(&c->body);
   }
   if (c->body.failed) {
     c->refusal = buffers_full();
@@ -681,8 +681,8 @@ static void check_time(struct client *client, uint64_t at_ms) {
     give_up(c);
   }
   if (c->state == REPLIED) { /* Releases them: a slow reader does not need them. */
-    http_text_free(&c->payload);
-    http_text_free(&c->reply);
+    text_free(&c->payload);
+    text_free(&c->reply);
   }
   if (c->state != AWAITS && c->state != RECEIVES) {
     return;

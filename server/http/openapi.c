@@ -15,17 +15,17 @@
 
 /* Adds JSON, where ' stands for ", %s for a name and %t for a text. A comma that would come first in
  * an object or an array is left out. */
-static void put_json(struct http_text *text, const char *form, ...) {
+static void put_json(struct text *text, const char *form, ...) {
   va_list arguments;
   va_start(arguments, form);
   const char last = text->count > 0 ? text->bytes[text->count - 1] : '{';
   form += form[0] == ',' && (last == '{' || last == '[');
   for (; *form != '\0'; form++) {
     if (*form != '%') {
-      http_text_add(text, *form == '\'' ? "\"" : form, 1);
+      text_add(text, *form == '\'' ? "\"" : form, 1);
     } else if (*++form == 's') {
       const char *name = va_arg(arguments, const char *);
-      http_text_add(text, name, strlen(name));
+      text_add(text, name, strlen(name));
     } else {
       text->filled = false;
       const char *string = va_arg(arguments, const char *);
@@ -38,7 +38,7 @@ static void put_json(struct http_text *text, const char *form, ...) {
 /* ---- schemas --------------------------------------------------------------------------------- */
 
 /* Adds the members of the schema for the names of a list. */
-static void put_choice(struct http_text *text, const core_choice *list, bool bits) {
+static void put_choice(struct text *text, const core_choice *list, bool bits) {
   put_json(text, bits ? ",'type':'array','items':{'type':'string','enum':["
                       : ",'type':'string','enum':[");
   for (; list->name != NULL; list++) {
@@ -47,7 +47,7 @@ static void put_choice(struct http_text *text, const core_choice *list, bool bit
   put_json(text, bits ? "]}" : "]");
 }
 
-static void put_kind(struct http_text *text, enum schema_kind kind) {
+static void put_kind(struct text *text, enum schema_kind kind) {
   put_json(text, kind == SCHEMA_f64   ? ",'allOf':[" NUMBER "]"
                  : kind == SCHEMA_u64 ? ",'oneOf':[{'type':'integer','minimum':0},"
                                         "{'type':'string','pattern':'^[0-9]{1,20}$'}]"
@@ -61,13 +61,13 @@ static bool depends_on_others(const schema_field *field) {
          field->list == core_evaluators || field->list == core_spacings;
 }
 
-static void put_number(struct http_text *text, const char *key, double number) {
+static void put_number(struct text *text, const char *key, double number) {
   text->filled = true;
   http_text_number(text, key, number);
 }
 
 /* Adds the default and the range of a field of a request. */
-static void put_attributes(struct http_text *text, const schema_field *field) {
+static void put_attributes(struct text *text, const schema_field *field) {
   if (field->list != NULL && field->usual > 0 && !depends_on_others(field)) {
     put_json(text, ",'default':%t", core_choice_by_id(field->list, (unsigned)field->usual)->name);
   } else if (field->list == NULL && field->kind != SCHEMA_u64 && !field->required) {
@@ -81,7 +81,7 @@ static void put_attributes(struct http_text *text, const schema_field *field) {
   }
 }
 
-static void put_members(struct http_text *text, const schema_field *field) {
+static void put_members(struct text *text, const schema_field *field) {
   const bool is_array = field->count > 1 && field->kind != SCHEMA_text;
   char description[256];
   if (field->list != NULL) {
@@ -100,7 +100,7 @@ static void put_members(struct http_text *text, const schema_field *field) {
   }
 }
 
-static void put_properties(struct http_text *text, const schema_field *fields) {
+static void put_properties(struct text *text, const schema_field *fields) {
   for (; fields->name != NULL; fields++) {
     if (!fields->hidden) {
       put_json(text, ",'%s':{", fields->name);
@@ -110,17 +110,17 @@ static void put_properties(struct http_text *text, const schema_field *fields) {
   }
 }
 
-static void begin_object(struct http_text *text, const char *name, const char *suffix) {
+static void begin_object(struct text *text, const char *name, const char *suffix) {
   put_json(text, ",'%s%s':{'type':'object','properties':{", name, suffix);
 }
 
-static void put_object(struct http_text *text, const char *name, const schema_field *fields) {
+static void put_object(struct text *text, const char *name, const schema_field *fields) {
   begin_object(text, name, "");
   put_properties(text, fields);
   put_json(text, "}}");
 }
 
-static void put_list(struct http_text *text, const char *name, const char *items,
+static void put_list(struct text *text, const char *name, const char *items,
                      const char *description) {
   put_json(text, ",'%s':{'type':'array','items':", name);
   put_json(text, items);
@@ -131,7 +131,7 @@ static void put_list(struct http_text *text, const char *name, const char *items
 
 /* Begins the schema of a request's field, or adds the parameter of a query that refers to it and returns
  * false. */
-static bool begin_field(struct http_text *text, const schema_message *message, bool in_query,
+static bool begin_field(struct text *text, const schema_message *message, bool in_query,
                         const char *name) {
   if (!in_query) {
     put_json(text, ",'%s':{", name);
@@ -147,7 +147,7 @@ static bool begin_field(struct http_text *text, const schema_message *message, b
   return false;
 }
 
-static void put_field(struct http_text *text, const schema_message *message, bool in_query,
+static void put_field(struct text *text, const schema_message *message, bool in_query,
                       const schema_field *field) {
   if (begin_field(text, message, in_query, field->name)) {
     put_members(text, field);
@@ -156,7 +156,7 @@ static void put_field(struct http_text *text, const schema_message *message, boo
   }
 }
 
-static void put_list_field(struct http_text *text, const schema_message *message, bool in_query,
+static void put_list_field(struct text *text, const schema_message *message, bool in_query,
                            const char *name, const char *items, const char *description) {
   if (begin_field(text, message, in_query, name)) {
     put_json(text, "'type':'array','items':");
@@ -166,7 +166,7 @@ static void put_list_field(struct http_text *text, const schema_message *message
 }
 
 /* Adds the fields that a request may have: to a body's schema, or as parameters of a query. */
-static void put_request(struct http_text *text, const schema_message *message, bool in_query) {
+static void put_request(struct text *text, const schema_message *message, bool in_query) {
   static const schema_payload header = {
       .structures = {&schema_structures[SCHEMA_STRUCTURE_header]}};
   const schema_payload *request = message->request;
@@ -218,7 +218,7 @@ static void put_request(struct http_text *text, const schema_message *message, b
   "reply','content':{'application/json':{'schema':" schema                                         \
   "}}},'default':{'$ref':'#/components/responses/Error'}}}"
 
-static void put_path(struct http_text *text, const schema_message *message) {
+static void put_path(struct text *text, const schema_message *message) {
   const char *name = message->name;
   put_json(text, ",'/v1/%s':{'get':{'operationId':'get_%s','summary':%t,'parameters':[", name, name,
            message->about);
@@ -231,27 +231,27 @@ static void put_path(struct http_text *text, const schema_message *message) {
            name, message->about, name, name);
 }
 
-static void put_list_path(struct http_text *text, const char *path, const char *id,
+static void put_list_path(struct text *text, const char *path, const char *id,
                           const char *summary) {
   put_json(text, ",'%s':{'get':{'operationId':'%s','summary':%t" REPLIES("{'type':'object'}") "}",
            path, id, summary);
 }
 
 /* Adds arrays of numbers with the names of a list. */
-static void put_arrays(struct http_text *text, const core_choice *list) {
+static void put_arrays(struct text *text, const core_choice *list) {
   for (; list->name != NULL; list++) {
     put_list(text, list->name, NUMBER, list->about);
   }
 }
 
 /* Adds the medium of a channel. */
-static void put_medium(struct http_text *text) {
+static void put_medium(struct text *text) {
   put_properties(text, FIELDS(medium));
   put_list(text, "layers", REFERENCE("Coefficients"), "of several layers, in place of these");
 }
 
 /* Adds what a reply has besides its fields. */
-static void put_reply_parts(struct http_text *text, const schema_payload *reply) {
+static void put_reply_parts(struct text *text, const schema_payload *reply) {
   const schema_field *fields = reply->structures[0]->fields;
   if (fields == FIELDS(eval_reply)) {
     put_list(text, "r", NUMBER, "mm; the radii of an eval, if they are wanted");
@@ -285,7 +285,7 @@ static void put_reply_parts(struct http_text *text, const schema_payload *reply)
   }
 }
 
-static void put_message_schemas(struct http_text *text, const schema_message *message) {
+static void put_message_schemas(struct text *text, const schema_message *message) {
   begin_object(text, message->name, "_request");
   put_request(text, message, false);
   put_json(text, "},'additionalProperties':false}");
@@ -298,7 +298,7 @@ static void put_message_schemas(struct http_text *text, const schema_message *me
   put_json(text, "}}");
 }
 
-static void put_schemas(struct http_text *text) {
+static void put_schemas(struct text *text) {
   put_json(text,
            ",'Number':{'nullable':true,'description':'A number; infinities are texts. In replies, "
            "null is a number that is not known.','oneOf':[{'type':'number'},"
@@ -336,7 +336,7 @@ static void put_schemas(struct http_text *text) {
   put_json(text, "}}");
 }
 
-void http_openapi_write(struct http_text *text) {
+void http_openapi_write(struct text *text) {
   put_json(text,
            "{'openapi':'3.0.3','info':{'title':'dipoled','version':'" DIPOLED_VERSION
            "','description':'Evaluates subsurface-scattering profiles R(r). Fields, limits and "

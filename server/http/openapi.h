@@ -5,6 +5,6 @@
 
 #include "server/http/text.h"
 
-void http_openapi_write(struct http_text *text);
+void http_openapi_write(struct text *text);
 
 #endif

@@ -29,7 +29,7 @@ static double get_f64(const uint8_t *at) {
 }
 
 /* Writes a choice by its name, or the names of a sum of choices. */
-static void write_choice(struct http_text *text, const schema_field *field, unsigned number) {
+static void write_choice(struct text *text, const schema_field *field, unsigned number) {
   const core_choice *entry = field->bits ? NULL : core_choice_by_id(field->list, number);
   if (!field->bits) {
     http_text_string(text, field->name, entry != NULL ? entry->name : "");
@@ -44,8 +44,8 @@ static void write_choice(struct http_text *text, const schema_field *field, unsi
   http_text_end(text, ']');
 }
 
-static void write_one(struct http_text *text, const char *key, enum schema_kind kind,
-                      const uint8_t *at, size_t bytes) {
+static void write_one(struct text *text, const char *key, enum schema_kind kind, const uint8_t *at,
+                      size_t bytes) {
   if (kind == SCHEMA_f64) {
     http_text_number(text, key, get_f64(at));
   } else {
@@ -53,7 +53,7 @@ static void write_one(struct http_text *text, const char *key, enum schema_kind 
   }
 }
 
-static void write_field(struct http_text *text, const schema_field *field, const uint8_t *at) {
+static void write_field(struct text *text, const schema_field *field, const uint8_t *at) {
   const size_t bytes = schema_field_bytes(field) / field->count;
   if (field->list != NULL) {
     write_choice(text, field, (unsigned)get_count(at, bytes));
@@ -81,7 +81,7 @@ static void write_field(struct http_text *text, const schema_field *field, const
 }
 
 /* Writes the fields of a structure into an open object. Returns where the structure ends. */
-static const uint8_t *write_fields(struct http_text *text, const schema_field *fields,
+static const uint8_t *write_fields(struct text *text, const schema_field *fields,
                                    const uint8_t *at) {
   for (; fields->name != NULL; fields++) {
     if (fields->kind == SCHEMA_f64 && fields->count == 1) { /* never internal or a choice */
@@ -94,8 +94,8 @@ static const uint8_t *write_fields(struct http_text *text, const schema_field *f
   return at;
 }
 
-static const uint8_t *write_object(struct http_text *text, const char *key,
-                                   const schema_field *fields, const uint8_t *at) {
+static const uint8_t *write_object(struct text *text, const char *key, const schema_field *fields,
+                                   const uint8_t *at) {
   http_text_begin(text, key, '{');
   at = write_fields(text, fields, at);
   http_text_end(text, '}');
@@ -103,7 +103,7 @@ static const uint8_t *write_object(struct http_text *text, const char *key,
 }
 
 /* Writes the units of those fields that have one. */
-static void write_units(struct http_text *text, const schema_field *fields) {
+static void write_units(struct text *text, const schema_field *fields) {
   for (; fields->name != NULL; fields++) {
     if (fields->unit != NULL) {
       http_text_string(text, fields->name, fields->unit);
@@ -114,7 +114,7 @@ static void write_units(struct http_text *text, const schema_field *fields) {
 /* ---- eval and sample ------------------------------------------------------------------------- */
 
 /* With R_f alone, r holds spatial frequencies. */
-static void write_quantity_units(struct http_text *text, unsigned wanted) {
+static void write_quantity_units(struct text *text, unsigned wanted) {
   const unsigned by_r = CORE_QUANTITY_ALBEDO | CORE_QUANTITY_RADIUS | CORE_QUANTITY_MODEL_ERROR |
                         CORE_QUANTITY_MODEL_ERRORS;
   const bool by_f = (wanted & ~by_r) == CORE_QUANTITY_TRANSFER;
@@ -130,8 +130,7 @@ static void write_quantity_units(struct http_text *text, unsigned wanted) {
 
 /* Writes a medium: the fields of its one layer, or a list of several layers. Returns the end of the
  * layers in the request. */
-static const uint8_t *write_medium(struct http_text *text, const uint8_t *at,
-                                   uint32_t layer_count) {
+static const uint8_t *write_medium(struct text *text, const uint8_t *at, uint32_t layer_count) {
   if (layer_count == 1) {
     return write_fields(text, FIELDS(medium), at);
   }
@@ -143,7 +142,7 @@ static const uint8_t *write_medium(struct http_text *text, const uint8_t *at,
   return at;
 }
 
-static void write_channel(struct http_text *text, const uint8_t *payload, const uint8_t *medium,
+static void write_channel(struct text *text, const uint8_t *payload, const uint8_t *medium,
                           uint32_t layer_count, const wire_eval_reply *fixed,
                           const eval_layout *layout, uint32_t channel, unsigned wanted) {
   const bool single = core_evaluator_bytes(fixed->evaluator) == sizeof(float);
@@ -169,7 +168,7 @@ static void write_channel(struct http_text *text, const uint8_t *payload, const 
 }
 
 /* Writes the results of an eval. media: the layers in the request. */
-static void write_eval(struct http_text *text, const uint8_t *media, uint32_t layer_count,
+static void write_eval(struct text *text, const uint8_t *media, uint32_t layer_count,
                        const uint8_t *payload, size_t payload_bytes, bool drawn) {
   wire_eval_reply fixed;
   eval_layout layout;
@@ -198,8 +197,7 @@ static void write_eval(struct http_text *text, const uint8_t *media, uint32_t la
 /* ---- the other replies ----------------------------------------------------------------------- */
 
 /* Writes the parts of a reply, for messages without a function of their own here, and their units. */
-static void write_parts(struct http_text *text, const schema_payload *reply,
-                        const uint8_t *payload) {
+static void write_parts(struct text *text, const schema_payload *reply, const uint8_t *payload) {
   schema_layout layout;
   schema_lay_out(reply, payload, UINT64_MAX, &layout, NULL);
   http_text_begin(text, "units", '{');
@@ -228,7 +226,7 @@ static void write_parts(struct http_text *text, const schema_payload *reply,
   }
 }
 
-static void write_table(struct http_text *text, const uint8_t *payload) {
+static void write_table(struct text *text, const uint8_t *payload) {
   wire_table_reply fixed;
   wire_get_table_reply(payload, &fixed);
   const uint8_t *at = write_fields(text, FIELDS(table_reply), payload);
@@ -253,7 +251,7 @@ static void write_table(struct http_text *text, const uint8_t *payload) {
 }
 
 /* The design says what was assumed of the media. */
-static void write_fit(struct http_text *text, const uint8_t *design, bool g_is_default,
+static void write_fit(struct text *text, const uint8_t *design, bool g_is_default,
                       const uint8_t *payload) {
   wire_fit_reply fixed;
   wire_fit_design assumed;
@@ -281,7 +279,7 @@ static void write_fit(struct http_text *text, const uint8_t *design, bool g_is_d
 }
 
 /* Writes those arrays of a varying reply that are in a list, whose bits are moved left. */
-static void write_arrays(struct http_text *text, const core_choice *list, unsigned left,
+static void write_arrays(struct text *text, const core_choice *list, unsigned left,
                          const uint8_t *payload, const wire_varying_reply *fixed,
                          const varying_layout *layout) {
   for (const core_choice *one = list; one->name != NULL; one++) {
@@ -293,7 +291,7 @@ static void write_arrays(struct http_text *text, const core_choice *list, unsign
   }
 }
 
-static void write_varying(struct http_text *text, const uint8_t *payload, size_t payload_bytes) {
+static void write_varying(struct text *text, const uint8_t *payload, size_t payload_bytes) {
   wire_varying_reply fixed;
   varying_layout layout;
   const bool parsed = varying_reply_parse(payload, payload_bytes, &fixed, &layout);
@@ -320,7 +318,7 @@ static void write_varying(struct http_text *text, const uint8_t *payload, size_t
 }
 
 /* Writes the results of a gather. media: the layers in the request. */
-static void write_gather(struct http_text *text, const uint8_t *media, uint32_t layer_count,
+static void write_gather(struct text *text, const uint8_t *media, uint32_t layer_count,
                          const uint8_t *payload) {
   wire_gather_reply fixed;
   wire_get_gather_reply(payload, &fixed);
@@ -355,7 +353,7 @@ static uint32_t layers_of(const schema_message *message, const uint8_t *request)
 }
 
 void http_reply_write(const schema_message *message, const uint8_t *request, bool g_is_default,
-                      const uint8_t *payload, size_t payload_bytes, struct http_text *text) {
+                      const uint8_t *payload, size_t payload_bytes, struct text *text) {
   const uint8_t *media = request + message->request->fixed_bytes;
   http_text_begin(text, NULL, '{');
   switch (message->type) {
@@ -394,7 +392,7 @@ static const char *const list_names[] = {
 #include "proto/messages.def"
 };
 
-void http_reply_write_models(const uint8_t *payload, struct http_text *text) {
+void http_reply_write_models(const uint8_t *payload, struct text *text) {
   wire_hello_reply fixed;
   unsigned kind = 0;
   wire_get_hello_reply(payload, &fixed);
@@ -428,7 +426,7 @@ void http_reply_write_models(const uint8_t *payload, struct http_text *text) {
   http_text_end(text, '}');
 }
 
-void http_reply_write_media(const uint8_t *payload, struct http_text *text) {
+void http_reply_write_media(const uint8_t *payload, struct text *text) {
   http_text_begin(text, NULL, '{');
   write_parts(text, &schema_media_reply, payload);
   http_text_end(text, '}');
@@ -437,7 +435,7 @@ void http_reply_write_media(const uint8_t *payload, struct http_text *text) {
 /* ---- errors ---------------------------------------------------------------------------------- */
 
 /* Writes what is allowed. Where the protocol's message hello lists it, HTTP has a path. */
-static void write_allowed(struct http_text *text, const char *allowed) {
+static void write_allowed(struct text *text, const char *allowed) {
   static const char in_hello[] = "the list in hello";
   char here[sizeof((wire_error *)NULL)->allowed];
   const size_t length = strlen(allowed), end = strlen(in_hello);
@@ -447,7 +445,7 @@ static void write_allowed(struct http_text *text, const char *allowed) {
   http_text_string(text, "allowed", here);
 }
 
-unsigned http_reply_write_error(const wire_error *error, struct http_text *text) {
+unsigned http_reply_write_error(const wire_error *error, struct text *text) {
   http_text_begin(text, NULL, '{');
   http_text_string(text, "status", wire_status_name(error->status));
   http_text_string(text, "text", wire_status_text(error->status));

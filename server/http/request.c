@@ -297,7 +297,7 @@ struct translation {
   const json_t *values;
   bool in_query;     /* whether the values are those of a query */
   uint64_t initials; /* of their names: bit i is set if the first byte modulo 64 is i */
-  struct http_text *payload;
+  struct text *payload;
   size_t bytes_max; /* most bytes of the payload */
   uint32_t medium_count;
   uint32_t layer_count; /* layers of each medium; 0: no medium has been read */
@@ -343,7 +343,7 @@ static uint8_t *add_bytes(struct translation *t, size_t bytes) {
                                  "over HTTP as many values as a frame of max_part_bytes holds"));
     return NULL;
   }
-  char *at = http_text_room(t->payload, bytes);
+  char *at = text_room(t->payload, bytes);
   if (at == NULL) {
     fail_with(t, wire_error_busy("max_total_bytes",
                                  "less data at a time: max_total_bytes are in use", 1000));
@@ -1022,7 +1022,7 @@ static bool put_all(struct translation *t, uint32_t *deadline_ms) {
 }
 
 wire_error http_request_translate(const schema_message *message, char *text, size_t text_bytes,
-                                  bool in_query, struct http_text *payload, size_t bytes_max,
+                                  bool in_query, struct text *payload, size_t bytes_max,
                                   uint32_t *deadline_ms, bool *g_is_default) {
   wire_error error = wire_error_none();
   json_t *values = in_query ? parse_query(text, &error)

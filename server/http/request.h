@@ -10,7 +10,7 @@
  * default. text: JSON of text_bytes bytes, or, in_query, what follows the "?" of a URI with a zero byte
  * behind it, which changes. The daemon checks the values when it serves the request. */
 wire_error http_request_translate(const schema_message *message, char *text, size_t text_bytes,
-                                  bool in_query, struct http_text *payload, size_t bytes_max,
+                                  bool in_query, struct text *payload, size_t bytes_max,
                                   uint32_t *deadline_ms, bool *g_is_default);
 
 /* The lists of numbers of a request in JSON: one for each part that has an `about`, but x, y and z for

@@ -3,80 +3,9 @@
 #include <assert.h>
 #include <math.h>
 #include <stdio.h>
-#include <stdlib.h>
 #include <string.h>
 
 #include "proto/decimal.h"
-
-enum { FIRST_BYTES = 4096, KEPT_BYTES = 16384 };
-
-void http_text_init(struct http_text *text, struct budget *budget) {
-  *text = (struct http_text){.budget = budget};
-}
-
-void http_text_reset(struct http_text *text) {
-  if (text->failed || text->capacity > KEPT_BYTES) {
-    http_text_free(text);
-  }
-  text->count = 0;
-  text->filled = false;
-}
-
-void http_text_free(struct http_text *text) {
-  free(text->bytes);
-  budget_return(text->budget, text->capacity);
-  *text = (struct http_text){.budget = text->budget};
-}
-
-void http_text_trim(struct http_text *text) {
-  char *bytes =
-      text->capacity > KEPT_BYTES && text->count > 0 ? realloc(text->bytes, text->count) : NULL;
-  if (bytes != NULL) {
-    budget_return(text->budget, text->capacity - text->count);
-    text->bytes = bytes;
-    text->capacity = text->count;
-  }
-}
-
-static bool grow(struct http_text *text, size_t wanted) {
-  size_t capacity = text->capacity > 0 ? text->capacity : FIRST_BYTES;
-  while (capacity < wanted) {
-    capacity *= 2;
-  }
-  if (capacity <= KEPT_BYTES) {
-    budget_take_base(text->budget, capacity - text->capacity);
-  } else if (!budget_take(text->budget, capacity - text->capacity)) {
-    return false;
-  }
-  char *bytes = realloc(text->bytes, capacity);
-  if (bytes == NULL) {
-    budget_return(text->budget, capacity - text->capacity);
-    return false;
-  }
-  text->bytes = bytes;
-  text->capacity = capacity;
-  return true;
-}
-
-/* As http_text_room(), which is called from other files. */
-static inline char *room(struct http_text *text, size_t bytes) {
-  if (bytes > text->capacity - text->count && !text->failed) {
-    text->failed = !grow(text, text->count + bytes);
-  }
-  return text->failed ? NULL : text->bytes + text->count;
-}
-
-char *http_text_room(struct http_text *text, size_t bytes) {
-  return room(text, bytes);
-}
-
-void http_text_add(struct http_text *text, const char *bytes, size_t count) {
-  char *at = count > 0 ? room(text, count) : NULL;
-  if (at != NULL) {
-    memcpy(at, bytes, count);
-    text->count += count;
-  }
-}
 
 enum { ESCAPE_BYTES = 6 };
 
@@ -110,9 +39,9 @@ static char *put_string(char *at, const char *string) {
 
 /* Starts a value, for which it makes room. Returns where it begins, or NULL if there is no memory.
  * Keys are names from lists of the protocol, which need no escapes. */
-static char *start_value(struct http_text *text, const char *key, size_t bytes) {
+static char *start_value(struct text *text, const char *key, size_t bytes) {
   const size_t length = key != NULL ? strlen(key) : 0;
-  char *at = room(text, length + 4 + bytes);
+  char *at = text_room(text, length + 4 + bytes);
   if (at == NULL) {
     return NULL;
   }
@@ -131,11 +60,11 @@ static char *start_value(struct http_text *text, const char *key, size_t bytes) 
 }
 
 /* Ends a value: `at` is where the next one begins. */
-static void end_value(struct http_text *text, const char *at) {
+static void end_value(struct text *text, const char *at) {
   text->count = (size_t)(at - text->bytes);
 }
 
-void http_text_begin(struct http_text *text, const char *key, char bracket) {
+void http_text_begin(struct text *text, const char *key, char bracket) {
   char *at = start_value(text, key, 1);
   if (at != NULL) {
     *at++ = bracket;
@@ -144,8 +73,8 @@ void http_text_begin(struct http_text *text, const char *key, char bracket) {
   text->filled = false;
 }
 
-void http_text_end(struct http_text *text, char bracket) {
-  char *at = room(text, 1);
+void http_text_end(struct text *text, char bracket) {
+  char *at = text_room(text, 1);
   if (at != NULL) {
     *at++ = bracket;
     end_value(text, at);
@@ -153,7 +82,7 @@ void http_text_end(struct http_text *text, char bracket) {
   text->filled = true;
 }
 
-void http_text_string(struct http_text *text, const char *key, const char *string) {
+void http_text_string(struct text *text, const char *key, const char *string) {
   char *at = start_value(text, key, ESCAPE_BYTES * strlen(string) + 2);
   if (at != NULL) {
     end_value(text, put_string(at, string));
@@ -173,15 +102,15 @@ static size_t write_number(double value, char *at) {
   return strlen(name);
 }
 
-void http_text_number(struct http_text *text, const char *key, double value) {
+void http_text_number(struct text *text, const char *key, double value) {
   char *at = start_value(text, key, DECIMAL_BYTES);
   if (at != NULL) {
     end_value(text, at + write_number(value, at));
   }
 }
 
-void http_text_field(struct http_text *text, const schema_field *field, double value) {
-  char *at = room(text, (size_t)field->key_bytes + DECIMAL_BYTES);
+void http_text_field(struct text *text, const schema_field *field, double value) {
+  char *at = text_room(text, (size_t)field->key_bytes + DECIMAL_BYTES);
   if (at != NULL) {
     memcpy(at, field->key + !text->filled, (size_t)field->key_bytes - !text->filled);
     at += field->key_bytes - !text->filled;
@@ -193,15 +122,15 @@ void http_text_field(struct http_text *text, const schema_field *field, double v
 /* Number of values for which room is made at a time. */
 enum { NUMBERS_AT_ONCE = 256 };
 
-void http_text_numbers(struct http_text *text, const char *key, const void *values, uint64_t count,
+void http_text_numbers(struct text *text, const char *key, const void *values, uint64_t count,
                        bool single) {
   char *at = NULL;
   http_text_begin(text, key, '[');
   for (uint64_t i = 0; i < count; i++) {
     if (i % NUMBERS_AT_ONCE == 0) {
       const uint64_t left = count - i;
-      at = room(text,
-                (DECIMAL_BYTES + 1) * (size_t)(left < NUMBERS_AT_ONCE ? left : NUMBERS_AT_ONCE));
+      at = text_room(text, (DECIMAL_BYTES + 1) *
+                               (size_t)(left < NUMBERS_AT_ONCE ? left : NUMBERS_AT_ONCE));
       if (at == NULL) {
         return;
       }
@@ -216,13 +145,13 @@ void http_text_numbers(struct http_text *text, const char *key, const void *valu
   http_text_end(text, ']');
 }
 
-void http_text_count(struct http_text *text, const char *key, uint64_t value) {
+void http_text_count(struct text *text, const char *key, uint64_t value) {
   char digits[24];
   snprintf(digits, sizeof digits, "%llu", (unsigned long long)value);
   http_text_raw(text, key, digits);
 }
 
-void http_text_raw(struct http_text *text, const char *key, const char *json) {
+void http_text_raw(struct text *text, const char *key, const char *json) {
   const size_t length = strlen(json);
   char *at = start_value(text, key, length);
   if (at != NULL) {

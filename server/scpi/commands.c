@@ -5,27 +5,13 @@
 
 #include "proto/decimal.h"
 #include "proto/eval.h"
-#include "proto/fit.h"
 #include "proto/mc.h"
 #include "server/net/worker.h"
 #include "server/observe/health.h"
 #include "server/scpi/session.h"
 #include "server/store/media.h"
 
-enum {
-  MISSING = -109,
-  NOT_ALLOWED = -108,
-  UNDEFINED_HEADER = -113,
-  BAD_TYPE = -104,
-  BAD_BLOCK = -161,
-  CONFLICT = -221,
-  OUT_OF_RANGE = -222,
-  BAD_VALUE = -224,
-  UNEQUAL_LISTS = -226,
-  STALE = -230,
-  NO_MEMORY = -321,
-  HEADER_BYTES = 64, /* the longest header */
-};
+enum { HEADER_BYTES = 64 }; /* of the longest header */
 
 enum outcome { FAILED, DONE, WAITS }; /* FAILED is false, too */
 enum { SET = 1, QUERY = 2, BOTH = 3, TAKE = 4 | QUERY };
@@ -36,8 +22,8 @@ struct scpi_command {
   unsigned forms;
   enum outcome (*carry_out)(struct scpi_session *s, const struct scpi_command *command,
                             struct scpi_unit *unit);
-  size_t number;                     /* an offset, a quantity or a part, as the function takes it */
-  unsigned most;                     /* of a register; or a task */
+  size_t number; /* an offset in the session, a quantity or a part, as the function takes it */
+  enum scpi_task_index task;
   const schema_structure *structure; /* that has the fields which `parameters` names */
   const char *parameters;
 };
@@ -64,17 +50,25 @@ static bool is_good(struct scpi_session *s, wire_error error) {
 
 /* ---- answers --------------------------------------------------------------------------------- */
 
-/* Adds a text: the answer of a unit, or its next value. */
-static enum outcome add_answer(struct scpi_session *s, char separator, const char *text) {
-  http_text_add(&s->answers, &separator, s->answers.count > 0);
-  http_text_add(&s->answers, text, strlen(text));
+/* Answers with a text, behind those of the units before. */
+static enum outcome answer(struct scpi_session *s, const char *text) {
+  text_add(&s->answers, ";", s->answers.count > 0);
+  text_add(&s->answers, text, strlen(text));
   return DONE;
 }
 
-static enum outcome answer_integer(struct scpi_session *s, uint64_t value) {
-  char text[24];
-  snprintf(text, sizeof text, "%llu", (unsigned long long)value);
-  return add_answer(s, ';', text);
+static enum outcome answer_integer(struct scpi_session *s, unsigned value) {
+  char text[16];
+  snprintf(text, sizeof text, "%u", value);
+  return answer(s, text);
+}
+
+/* Begins the block of an answer. */
+static void answer_block(struct scpi_session *s, size_t bytes) {
+  char head[32];
+  const int digits = snprintf(head, sizeof head, "%zu", bytes);
+  snprintf(head, sizeof head, "#%d%zu", digits, bytes);
+  answer(s, head);
 }
 
 /* Writes the shortest decimal with the same bits; what is no number as SCPI has it. */
@@ -88,31 +82,37 @@ static size_t put_decimal(double value, bool single, char text[DECIMAL_BYTES]) {
                                        : "-9.9E37");
 }
 
-static double value_at(const uint8_t *values, size_t index, bool single) {
+static double value_at(const void *values, size_t index, bool single) {
   float narrow;
   double value;
   if (single) {
-    memcpy(&narrow, values + index * sizeof narrow, sizeof narrow);
+    memcpy(&narrow, (const char *)values + index * sizeof narrow, sizeof narrow);
     return (double)narrow;
   }
-  memcpy(&value, values + index * sizeof value, sizeof value);
+  memcpy(&value, (const char *)values + index * sizeof value, sizeof value);
   return value;
+}
+
+/* Writes a number in so many bytes. */
+static void put_value(uint8_t *at, double value, size_t bytes) {
+  const float narrow = (float)value;
+  memcpy(at, bytes == sizeof narrow ? (const void *)&narrow : (const void *)&value, bytes);
 }
 
 static enum outcome answer_decimals(struct scpi_session *s, const void *values, size_t count,
                                     bool single) {
-  add_answer(s, ';', count > 0 ? "" : "\"\"");
+  answer(s, count > 0 ? "" : "\"\"");
   for (size_t i = 0; i < count; i++) {
     char text[DECIMAL_BYTES + 1] = ",";
     const size_t bytes = put_decimal(value_at(values, i, single), single, text + 1);
-    http_text_add(&s->answers, text + (i == 0), bytes + (i > 0));
+    text_add(&s->answers, text + (i == 0), bytes + (i > 0));
   }
   return DONE;
 }
 
-/* Makes a number of this machine, which is little-endian, big-endian, or the other way round. */
-static void reverse_bytes(uint8_t *at, size_t bytes) {
-  for (size_t i = 0; i < bytes / 2; i++) {
+/* Makes a number of this machine, which is little-endian, one of the client, or the other way round. */
+static void order_bytes(const struct scpi_session *s, uint8_t *at, size_t bytes) {
+  for (size_t i = 0; s->settings.order != SCPI_SWAPPED && i < bytes / 2; i++) {
     const uint8_t byte = at[i];
     at[i] = at[bytes - 1 - i];
     at[bytes - 1 - i] = byte;
@@ -129,19 +129,12 @@ static enum outcome answer_values(struct scpi_session *s, const void *values, si
   if (s->settings.format == SCPI_ASCII) {
     return answer_decimals(s, values, count, single);
   }
-  char head[32];
   const size_t each = format_bytes(s);
-  const int digits = snprintf(head, sizeof head, "%zu", count * each);
-  snprintf(head, sizeof head, "#%d%zu", digits, count * each);
-  add_answer(s, ';', head);
-  uint8_t *to = (uint8_t *)http_text_room(&s->answers, count * each);
+  answer_block(s, count * each);
+  uint8_t *to = (uint8_t *)text_room(&s->answers, count * each);
   for (size_t i = 0; to != NULL && i < count; i++, to += each) {
-    const double value = value_at(values, i, single);
-    const float narrow = (float)value;
-    memcpy(to, each == sizeof narrow ? (const void *)&narrow : (const void *)&value, each);
-    if (!s->settings.swapped) {
-      reverse_bytes(to, each);
-    }
+    put_value(to, value_at(values, i, single), each);
+    order_bytes(s, to, each);
   }
   s->answers.count += to != NULL ? count * each : 0;
   return DONE;
@@ -153,7 +146,7 @@ static enum outcome answer_values(struct scpi_session *s, const void *values, si
 static bool take_parameter(struct scpi_session *s, struct scpi_unit *unit,
                            struct scpi_parameter *parameter) {
   int error = scpi_next_parameter(unit, parameter);
-  error = error == 0 && parameter->kind == SCPI_NOTHING ? MISSING : error;
+  error = error == 0 && parameter->kind == SCPI_NOTHING ? SCPI_MISSING : error;
   return error == 0 || fail_with(s, error, NULL, NULL);
 }
 
@@ -162,7 +155,7 @@ static bool took_all(struct scpi_session *s, struct scpi_unit *unit) {
   struct scpi_parameter parameter;
   const int error = scpi_next_parameter(unit, &parameter);
   return (error == 0 && parameter.kind == SCPI_NOTHING) ||
-         fail_with(s, error != 0 ? error : NOT_ALLOWED, NULL, NULL);
+         fail_with(s, error != 0 ? error : SCPI_NOT_ALLOWED, NULL, NULL);
 }
 
 static bool is_word(const struct scpi_parameter *parameter, const char *word) {
@@ -170,32 +163,30 @@ static bool is_word(const struct scpi_parameter *parameter, const char *word) {
          scpi_is_word(parameter->text, parameter->bytes, word, strlen(word));
 }
 
-/* Takes one of some words. Returns its position, or -1. */
-static int take_word(struct scpi_session *s, struct scpi_unit *unit, const char *const words[],
-                     const char *field, const char *allowed) {
-  struct scpi_parameter parameter;
-  if (!take_parameter(s, unit, &parameter)) {
-    return -1;
-  }
-  for (int i = 0; words[i] != NULL; i++) {
-    if (is_word(&parameter, words[i])) {
-      return i;
-    }
-  }
-  fail_with(s, BAD_VALUE, field, allowed);
-  return -1;
+/* Returns whether a parameter is a whole name. */
+static bool is_name(const struct scpi_parameter *parameter, const char *name) {
+  return strlen(name) == parameter->bytes &&
+         strncasecmp(name, parameter->text, parameter->bytes) == 0;
 }
 
-/* Reads a number. field: says what MIN and MAX are; NULL: there are none. */
+/* Reads a number. field: says what MIN, MAX and OFF are; NULL: there are none. */
 static bool read_number(struct scpi_session *s, const struct scpi_parameter *parameter,
                         const schema_field *field, double *value) {
-  static const char *const words[] = {"INFinity", "NINFinity", "NAN", "MINimum", "MAXimum"};
   const bool ranged = field != NULL && (field->spans || field->ranged);
-  const double values[] = {INFINITY, -INFINITY, NAN, ranged ? field->least : 0,
-                           ranged ? field->most : 0};
-  for (int i = 0; i < (ranged ? 5 : 3); i++) {
-    if (is_word(parameter, words[i])) {
-      *value = values[i];
+  const bool optional = field != NULL && isnan(field->usual);
+  const struct {
+    bool holds;
+    const char *word;
+    double value;
+  } words[] = {{true, "INFinity", INFINITY},
+               {true, "NINFinity", -INFINITY},
+               {true, "NAN", NAN},
+               {optional, "OFF", NAN},
+               {ranged, "MINimum", ranged ? field->least : 0},
+               {ranged, "MAXimum", ranged ? field->most : 0}};
+  for (size_t i = 0; i < sizeof words / sizeof words[0]; i++) {
+    if (words[i].holds && is_word(parameter, words[i].word)) {
+      *value = words[i].value;
       return true;
     }
   }
@@ -203,57 +194,39 @@ static bool read_number(struct scpi_session *s, const struct scpi_parameter *par
   return error == 0 || fail_with(s, error, NULL, NULL);
 }
 
-/* Takes an integer that is the only parameter. */
-static bool take_integer(struct scpi_session *s, struct scpi_unit *unit, const char *field,
-                         unsigned least, unsigned most, unsigned *value) {
-  struct scpi_parameter parameter;
-  double number;
-  char allowed[48];
-  if (!take_parameter(s, unit, &parameter) || !read_number(s, &parameter, NULL, &number) ||
-      !took_all(s, unit)) {
-    return false;
-  }
-  snprintf(allowed, sizeof allowed, "an integer from %u to %u", least, most);
-  const bool good = number >= least && number <= most && number == floor(number);
-  *value = good ? (unsigned)number : 0;
-  return good || fail_with(s, OUT_OF_RANGE, field, allowed);
-}
-
 /* Adds the numbers of a block. */
-static bool add_block(struct scpi_session *s, const struct scpi_parameter *block,
-                      struct http_text *to) {
+static bool add_block(struct scpi_session *s, const struct scpi_parameter *block, struct text *to) {
   const size_t each = format_bytes(s);
   if (s->settings.format == SCPI_ASCII || block->bytes % each != 0) {
-    return fail_with(s, BAD_BLOCK, "FORMat", "REAL,32 or REAL,64, as the numbers of the block");
+    return fail_with(s, SCPI_BAD_BLOCK, "FORMat",
+                     "REAL,32 or REAL,64, as the numbers of the block");
   }
   for (size_t at = 0; at < block->bytes; at += each) {
     uint8_t bytes[sizeof(double)];
     memcpy(bytes, block->text + at, each);
-    if (!s->settings.swapped) {
-      reverse_bytes(bytes, each);
-    }
+    order_bytes(s, bytes, each);
     const double value = value_at(bytes, 0, each == sizeof(float));
-    http_text_add(to, (const char *)&value, sizeof value);
+    text_add(to, &value, sizeof value);
   }
   return true;
 }
 
 /* Takes all parameters, numbers and blocks, into the list GIVEN. */
 static bool take_list(struct scpi_session *s, struct scpi_unit *unit) {
-  struct http_text *list = &s->lists[SCPI_GIVEN];
+  struct text *list = &s->lists[SCPI_GIVEN];
   struct scpi_parameter parameter;
   bool good = true;
-  http_text_reset(list);
+  text_reset(list);
   do {
     double value;
     good = take_parameter(s, unit, &parameter);
     if (good && parameter.kind == SCPI_BLOCK) {
       good = add_block(s, &parameter, list);
     } else if (good && (good = read_number(s, &parameter, NULL, &value))) {
-      http_text_add(list, (const char *)&value, sizeof value);
+      text_add(list, &value, sizeof value);
     }
   } while (good && unit->more);
-  return good && (!list->failed || fail_with(s, NO_MEMORY, NULL, NULL));
+  return good && (!list->failed || fail_with(s, SCPI_NO_MEMORY, NULL, NULL));
 }
 
 static size_t length_of(const struct scpi_session *s, enum scpi_list list) {
@@ -274,16 +247,25 @@ static const schema_field *field_named(const schema_structure *structure, const 
 }
 
 /* Returns the next field that a command's parameters name, as in <g>,<eta>[,<thickness>], or NULL.
- * *next: where they go on. */
+ * *next: where they go on. A structure without a name has one field. */
 static const schema_field *next_field(const struct scpi_command *command, const char **next,
                                       size_t *at) {
-  const char *name = strchr(*next, '<');
-  if (name == NULL) {
+  const bool one = command->structure->name == NULL;
+  const char *name = one ? *next : strchr(*next, '<');
+  *at = 0;
+  if (name == NULL || *name == '\0') {
     return NULL;
   }
-  const size_t bytes = strcspn(++name, ">");
+  const size_t bytes = one ? strlen(name) : strcspn(++name, ">");
   *next = name + bytes;
-  return field_named(command->structure, name, bytes, at);
+  return one ? command->structure->fields : field_named(command->structure, name, bytes, at);
+}
+
+/* Returns how many letters the short form of a name has: its capitals; else four, or three if the
+ * fourth is a vowel. */
+static size_t short_bytes(const char *name) {
+  const size_t capitals = strspn(name, "ABCDEFGHIJKLMNOPQRSTUVWXYZ");
+  return capitals > 0 ? capitals : strlen(name) > 3 && strchr("aeiou", name[3]) != NULL ? 3 : 4;
 }
 
 /* Reads an entry of a list by its id, its name, or the name's short form if no other has the same. */
@@ -295,20 +277,20 @@ static bool read_choice(struct scpi_session *s, const struct scpi_parameter *par
   unsigned found = 0;
   *id = 0;
   for (const core_choice *one = field->list; one->name != NULL; one++) {
-    /* four letters, or three if the fourth is a vowel */
-    const size_t length = strlen(one->name);
-    const size_t capitals = length > 3 && strchr("aeiou", one->name[3]) != NULL ? 3 : 4;
+    if (is_name(parameter, one->name)) {
+      *id = one->id;
+      return true;
+    }
     if (strncasecmp(parameter->text, one->name, parameter->bytes) == 0 &&
-        (parameter->bytes == length || parameter->bytes == capitals)) {
+        parameter->bytes == short_bytes(one->name)) {
       *id = one->id;
       found++;
-      if (parameter->bytes == length) {
-        return true;
-      }
     }
   }
   return found == 1 || (field->or_zero && is_word(parameter, "AUTO")) ||
-         fail_with(s, BAD_VALUE, field->name, "a name that `dipole` lists, or its id");
+         fail_with(s, SCPI_BAD_VALUE, field->name,
+                   field->allowed != NULL ? field->allowed
+                                          : "a name that `dipole` lists, or its id");
 }
 
 /* Writes the number of a field as its kind has it. Returns false if it does not fit. */
@@ -330,26 +312,36 @@ static double number_at(const schema_field *field, const uint8_t *at) {
   return field->kind == SCHEMA_f64 ? real : (double)integer;
 }
 
-/* Takes the value of a field. usual: what DEF stands for. */
+static void set_defaults(struct scpi_settings *to);
+
+/* Returns the default of a field that lies at `at` in the settings. */
+static double usual_of(const struct scpi_session *s, const schema_field *field, const uint8_t *at) {
+  struct scpi_settings usual;
+  const uintptr_t offset = (uintptr_t)at - (uintptr_t)&s->settings;
+  set_defaults(&usual);
+  return offset < sizeof usual ? number_at(field, (const uint8_t *)&usual + offset) : 0;
+}
+
+/* Takes the value of a field that lies at `from` in the session, and writes it to `to`. */
 static bool take_field(struct scpi_session *s, struct scpi_unit *unit, const schema_field *field,
-                       const uint8_t *usual, uint8_t *at) {
+                       const void *from, void *to) {
   struct scpi_parameter parameter;
-  double value;
+  double value = 0;
   uint64_t bits = 0;
   if (!take_parameter(s, unit, &parameter)) {
     return false;
   }
   if (is_word(&parameter, "DEFault")) {
-    value = number_at(field, usual);
+    value = usual_of(s, field, from);
   } else if (!(field->list != NULL ? read_choice(s, &parameter, field, &value)
                                    : read_number(s, &parameter, field, &value))) {
     return false;
   }
   if (!put_number(field, value, &bits)) {
-    return fail_with(s, OUT_OF_RANGE, field->name,
+    return fail_with(s, SCPI_OUT_OF_RANGE, field->name,
                      "an integer from 0 on, below 2^53 and as large as the field");
   }
-  memcpy(at, &bits, schema_field_bytes(field));
+  memcpy(to, &bits, schema_field_bytes(field));
   return is_good(s, schema_check_value(field, bits));
 }
 
@@ -359,49 +351,53 @@ static void answer_field(struct scpi_session *s, const schema_field *field, cons
   const double value = number_at(field, at);
   const core_choice *one =
       field->list != NULL ? core_choice_by_id(field->list, (unsigned)value) : NULL;
-  char text[DECIMAL_BYTES];
-  if (field->kind == SCHEMA_f64) {
+  char text[64];
+  if (one != NULL) {
+    const bool short_form = one->name[0] <= 'Z';
+    snprintf(text, sizeof text, "%.*s", short_form ? (int)short_bytes(one->name) : 63, one->name);
+  } else if (field->list != NULL || (isnan(value) && isnan(field->usual))) {
+    strcpy(text, field->list != NULL ? "AUTO" : "OFF");
+  } else if (field->kind == SCHEMA_f64) {
     put_decimal(value, false, text);
   } else {
     snprintf(text, sizeof text, "%.0f", value);
   }
-  add_answer(s, first ? ';' : ',', field->list == NULL ? text : one != NULL ? one->name : "AUTO");
+  text_add(&s->answers, first ? ";" : ",", s->answers.count > 0);
+  text_add(&s->answers, text, strlen(text));
 }
 
-static void set_defaults(struct scpi_settings *to);
-
-/* Sets or tells the fields of a structure in the settings. All are set, or none. */
+/* Sets or tells the fields of a structure in the session. All are set, or none. */
 static enum outcome use_structure(struct scpi_session *s, const struct scpi_command *command,
-                                  struct scpi_unit *unit, void *structure) {
-  struct scpi_settings usual;
+                                  struct scpi_unit *unit, uint8_t *structure) {
   uint8_t copy[sizeof(wire_mc_request)];
   const char *next = command->parameters;
   const size_t bytes = command->structure->bytes;
   const schema_field *field;
   bool optional = false;
   size_t at;
-  set_defaults(&usual);
-  const uint8_t *from = (uint8_t *)&usual + ((uint8_t *)structure - (uint8_t *)&s->settings);
   memcpy(copy, structure, bytes);
   for (bool first = true; (field = next_field(command, &next, &at)) != NULL; first = false) {
     if (unit->query) {
       answer_field(s, field, copy + at, first);
     } else if (optional && !unit->more) {
-      memcpy(copy + at, from + at, schema_field_bytes(field));
-    } else if (!take_field(s, unit, field, from + at, copy + at)) {
+      put_number(field, usual_of(s, field, structure + at), copy + at);
+    } else if (!take_field(s, unit, field, structure + at, copy + at)) {
       return FAILED;
     }
-    optional = next[1] == '[';
+    optional = *next == '>' && next[1] == '[';
   }
   if (!unit->query && !took_all(s, unit)) {
     return FAILED;
   }
   memcpy(structure, copy, bytes);
+  if (command->forms == TAKE) {
+    memset(structure, 0, bytes);
+  }
   return DONE;
 }
 
 COMMAND(use_fields) {
-  return use_structure(s, command, unit, (uint8_t *)&s->settings + command->number);
+  return use_structure(s, command, unit, (uint8_t *)s + command->number);
 }
 
 /* Sets a structure of a request to the defaults of messages.def. */
@@ -413,13 +409,9 @@ static void set_usual(const schema_structure *structure, void *to) {
   }
 }
 
-_Static_assert(sizeof(wire_eval_request) == WIRE_BYTES_eval_request &&
-                   sizeof(fit_start) == WIRE_BYTES_fit_request + WIRE_BYTES_fit_design &&
-                   sizeof(wire_mc_request) == WIRE_BYTES_mc_request &&
-                   sizeof(wire_mc_request) >= sizeof(wire_eval_request) &&
-                   sizeof(wire_tissue_request) == WIRE_BYTES_tissue_request &&
+_Static_assert(sizeof(wire_mc_request) >= sizeof(wire_eval_request) &&
                    sizeof(wire_medium) == sizeof(core_medium),
-               "requests lie in memory as on the wire");
+               "there is room for the fields of all commands");
 
 static void set_defaults(struct scpi_settings *to) {
   *to = (struct scpi_settings){.parameters = core_parameters_none()};
@@ -428,6 +420,13 @@ static void set_defaults(struct scpi_settings *to) {
   set_usual(FIELDS_OF(fit_design), &to->fit.design);
   set_usual(FIELDS_OF(mc_request), &to->mc);
   set_usual(FIELDS_OF(tissue_request), &to->tissue);
+  set_usual(FIELDS_OF(medium), &to->reference);
+  for (int i = 0; i < CORE_LAYERS_MAX; i++) {
+    set_usual(FIELDS_OF(medium), &to->layers[i]);
+  }
+  for (int i = 0; i < CORE_PROPERTIES_END; i++) {
+    to->properties[i] = NAN;
+  }
   to->eval.evaluator = CORE_EVALUATOR_LUT;
   to->eval.medium_count = 1;
   to->fit.request.set_count = 1;
@@ -436,13 +435,6 @@ static void set_defaults(struct scpi_settings *to) {
   to->mc.ring_count = 50;
   to->mc.photons = 1000000;
   to->tissue.wavelength_count = 1;
-  set_usual(FIELDS_OF(medium), &to->reference);
-  for (int i = 0; i < CORE_LAYERS_MAX; i++) {
-    set_usual(FIELDS_OF(medium), &to->layers[i]);
-  }
-  for (int i = 0; i < CORE_PROPERTIES_END; i++) {
-    to->properties[i] = NAN;
-  }
 }
 
 /* ---- IEEE 488.2 and the status --------------------------------------------------------------- */
@@ -461,21 +453,6 @@ COMMAND(preset_status) {
   return DONE;
 }
 
-COMMAND(use_register) {
-  uint16_t *at = (uint16_t *)(void *)((char *)&s->status + command->number);
-  unsigned value = 0;
-  if (unit->query) {
-    answer_integer(s, *at);
-    *at = command->forms == TAKE ? 0 : *at;
-    return DONE;
-  }
-  if (!take_integer(s, unit, command->pattern, 0, command->most, &value)) {
-    return FAILED;
-  }
-  *at = (uint16_t)value;
-  return DONE;
-}
-
 COMMAND(note_completion) {
   UNUSED;
   s->completes = scpi_session_measures(s);
@@ -486,7 +463,7 @@ COMMAND(note_completion) {
 COMMAND(wait_for_jobs) {
   UNUSED;
   s->held = scpi_session_measures(s);
-  return s->held ? WAITS : unit->query ? add_answer(s, ';', "1") : DONE;
+  return s->held ? WAITS : unit->query ? answer(s, "1") : DONE;
 }
 
 COMMAND(reset_settings) {
@@ -495,7 +472,7 @@ COMMAND(reset_settings) {
     scpi_task_drop(&s->tasks[i]);
   }
   for (int i = 0; i < SCPI_LISTS; i++) {
-    http_text_reset(&s->lists[i]);
+    text_reset(&s->lists[i]);
   }
   s->completes = false;
   scpi_status_set(&s->status.operation, 0);
@@ -509,11 +486,11 @@ COMMAND(tell) {
   (void)unit;
   switch (command->number) {
   case IDENTITY:
-    return add_answer(s, ';', "dipoled,dipoled,0," DIPOLED_VERSION);
+    return answer(s, "dipoled,dipoled,0," DIPOLED_VERSION);
   case ERROR:
-    return add_answer(s, ';', scpi_status_take(&s->status));
+    return answer(s, scpi_status_take(&s->status));
   case VERSION:
-    return add_answer(s, ';', "1999.0");
+    return answer(s, "1999.0");
   case STATUS_BYTE:
     return answer_integer(s, scpi_status_byte(&s->status, s->answers.count > 0));
   case HEALTH:
@@ -528,14 +505,14 @@ COMMAND(tell_headers);
 /* ---- settings -------------------------------------------------------------------------------- */
 
 COMMAND(use_numbers) {
-  struct http_text *list = &s->lists[command->number], *given = &s->lists[SCPI_GIVEN];
+  struct text *list = &s->lists[command->number], *given = &s->lists[SCPI_GIVEN];
   if (unit->query) {
     return answer_values(s, list->bytes, list->count / sizeof(double), false);
   }
   if (!take_list(s, unit)) {
     return FAILED;
   }
-  const struct http_text before = *list;
+  const struct text before = *list;
   *list = *given;
   *given = before;
   return DONE;
@@ -546,10 +523,10 @@ COMMAND(use_medium) {
   const bool listed = strchr(command->pattern, '<') != NULL; /* as LAYer<n> */
   const unsigned layer = listed ? unit->number : 1;
   if (layer < 1 || layer > settings->layer_count + !unit->query || layer > CORE_LAYERS_MAX) {
-    return fail_with(s, CONFLICT, "MEDium", "a layer that there is, or the next one, up to 8");
+    return fail_with(s, SCPI_CONFLICT, "MEDium", "a layer that there is, or the next one, up to 8");
   }
   wire_medium *medium = &settings->layers[layer - 1], before = *medium;
-  if (!use_structure(s, command, unit, medium) || unit->query) {
+  if (!use_structure(s, command, unit, (uint8_t *)medium) || unit->query) {
     return unit->query ? DONE : FAILED;
   }
   if (!is_good(s, job_error(core_medium_check((const core_medium *)(const void *)medium)))) {
@@ -577,168 +554,216 @@ static enum outcome use_measured(struct scpi_session *s, const core_measured_med
 COMMAND(use_named_medium) {
   struct scpi_parameter parameter;
   size_t count;
-  (void)command;
   if (unit->query) {
-    return add_answer(s, ';', s->settings.named != NULL ? s->settings.named->name : "\"\"");
+    return answer(s, s->settings.named != NULL ? s->settings.named->name : "\"\"");
   }
   if (!take_parameter(s, unit, &parameter) || !took_all(s, unit)) {
     return FAILED;
   }
   const core_measured_medium *all = media_all(&count);
   for (size_t i = 0; i < count; i++) {
-    if (strlen(all[i].name) == parameter.bytes &&
-        strncasecmp(all[i].name, parameter.text, parameter.bytes) == 0) {
+    if (is_name(&parameter, all[i].name)) {
       return use_measured(s, &all[i], 1);
     }
   }
-  return fail_with(s, BAD_VALUE, "MEDium:NAME", "a name that `dipole media` lists");
+  return fail_with(s, SCPI_BAD_VALUE, command->pattern, "a name that `dipole media` lists");
 }
 
 COMMAND(use_channel) {
-  unsigned channel = 0;
-  (void)command;
-  if (unit->query) {
-    return answer_integer(s, s->settings.channel);
+  if (!unit->query && s->settings.named == NULL) {
+    return fail_with(s, SCPI_CONFLICT, command->pattern, "behind MEDium:NAME");
   }
-  if (s->settings.named == NULL) {
-    return fail_with(s, CONFLICT, "MEDium:CHANnel", "behind MEDium:NAME");
-  }
-  return take_integer(s, unit, "MEDium:CHANnel", 1, 3, &channel)
-             ? use_measured(s, s->settings.named, channel)
-             : FAILED;
+  const enum outcome outcome = use_fields(s, command, unit);
+  return outcome == DONE && !unit->query ? use_measured(s, s->settings.named, s->settings.channel)
+                                         : outcome;
 }
 
-COMMAND(use_parameter) {
-  double *at = &s->settings.parameters.value[command->number], value = NAN;
-  struct scpi_parameter parameter;
-  if (unit->query) {
-    return isnan(*at) ? add_answer(s, ';', "OFF") : answer_decimals(s, at, 1, false);
-  }
-  if (!take_parameter(s, unit, &parameter) || !took_all(s, unit) ||
-      (!is_word(&parameter, "OFF") &&
-       (!read_number(s, &parameter, NULL, &value) ||
-        !is_good(s, job_error(core_parameter_check(command->number, value)))))) {
+COMMAND(use_option) {
+  const enum core_parameter id =
+      (command->number - offsetof(struct scpi_session, settings.parameters.value)) / sizeof(double);
+  double *at = &s->settings.parameters.value[id], before = *at;
+  const enum outcome outcome = use_fields(s, command, unit);
+  if (outcome == DONE && !isnan(*at) && !is_good(s, job_error(core_parameter_check(id, *at)))) {
+    *at = before;
     return FAILED;
   }
-  *at = value;
-  return DONE;
+  return outcome;
+}
+
+COMMAND(use_property) {
+  struct scpi_parameter parameter;
+  const core_choice *one = core_properties;
+  if (!take_parameter(s, unit, &parameter)) {
+    return FAILED;
+  }
+  while (one->name != NULL && !is_name(&parameter, one->name)) {
+    one++;
+  }
+  if (one->name == NULL) {
+    return fail_with(s, SCPI_BAD_VALUE, "property", "a name of core/TISSUE.md, as hbo2_uM");
+  }
+  return unit->query && !took_all(s, unit)
+             ? FAILED
+             : use_structure(s, command, unit, (uint8_t *)&s->settings.properties[one->id]);
 }
 
 COMMAND(use_format) {
   static const char *const told[] = {"ASC", "REAL,32", "REAL,64"};
-  static const char *const words[] = {"ASCii", "REAL", NULL};
+  static const core_choice words[] = {{0, "ASCii", ""}, {1, "REAL", ""}, {0, NULL, NULL}};
+  static const core_choice sizes[] = {{32, "32", ""}, {64, "64", ""}, {0, NULL, NULL}};
   static const char allowed[] = "ASCii, REAL,32 or REAL,64";
-  unsigned bits = 64;
+  const schema_field word = {
+      .name = "FORMat", .kind = SCHEMA_u32, .count = 1, .list = words, .allowed = allowed};
+  const schema_field size = {
+      .name = "FORMat", .kind = SCHEMA_u32, .count = 1, .list = sizes, .allowed = allowed};
+  uint32_t real = 0, bits = 64;
   (void)command;
   if (unit->query) {
-    return add_answer(s, ';', told[s->settings.format]);
+    return answer(s, told[s->settings.format]);
   }
-  const int word = take_word(s, unit, words, "FORMat", allowed);
-  if (word < 0 || (word == 1 && unit->more && !take_integer(s, unit, "FORMat", 32, 64, &bits)) ||
-      !took_all(s, unit)) {
+  if (!take_field(s, unit, &word, NULL, &real) ||
+      (real && unit->more && !take_field(s, unit, &size, NULL, &bits)) || !took_all(s, unit)) {
     return FAILED;
   }
-  if (bits != 32 && bits != 64) {
-    return fail_with(s, BAD_VALUE, "FORMat", allowed);
-  }
-  s->settings.format = word == 0 ? SCPI_ASCII : bits == 32 ? SCPI_REAL_32 : SCPI_REAL_64;
+  s->settings.format = !real ? SCPI_ASCII : bits == 32 ? SCPI_REAL_32 : SCPI_REAL_64;
   return DONE;
 }
 
-COMMAND(use_byte_order) {
-  static const char *const words[] = {"NORMal", "SWAPped", NULL};
-  (void)command;
-  if (unit->query) {
-    return add_answer(s, ';', s->settings.swapped ? "SWAP" : "NORM");
+/* ---- jobs ------------------------------------------------------------------------------------ */
+
+/* Writes those of a list of numbers that are given, in the order of their ids. Returns how many. */
+static uint16_t list_given(const double *values, size_t end, wire_parameter *given) {
+  uint16_t count = 0;
+  for (size_t id = 0; id < end; id++) {
+    if (!isnan(values[id])) {
+      given[count++] = (wire_parameter){.parameter = (uint16_t)id, .value = values[id]};
+    }
   }
-  const int word = take_word(s, unit, words, "FORMat:BORDer", "NORMal or SWAPped");
-  if (word < 0 || !took_all(s, unit)) {
-    return FAILED;
-  }
-  s->settings.swapped = word == 1;
-  return DONE;
+  return count;
 }
 
-/* ---- evals ----------------------------------------------------------------------------------- */
-
-/* Makes room for a payload that begins with these structures. Returns NULL if there is none. */
-static uint8_t *begin_payload(struct scpi_session *s, enum scpi_task_index index,
-                              const schema_payload *payload, const void *start,
-                              schema_layout *layout) {
-  struct http_text *text = &s->tasks[index].payload;
-  uint8_t *bytes = NULL;
-  http_text_reset(text);
-  if (!schema_lay_out(payload, start, s->server->options.max_frame_bytes, layout, NULL)) {
-    fail_with(s, -223, NULL, NULL);
-  } else if ((bytes = (uint8_t *)http_text_room(text, (size_t)layout->payload_bytes)) == NULL) {
-    fail_with(s, NO_MEMORY, NULL, NULL);
-  } else {
-    text->count = (size_t)layout->payload_bytes;
-    memset(bytes, 0, text->count);
-    memcpy(bytes, start, payload->fixed_bytes);
+/* Starts a job whose request begins with these structures. Its parts come from the settings, by their
+ * names. given: its parameters; places: its radii. */
+static bool start_task(struct scpi_session *s, enum scpi_task_index index, enum wire_type type,
+                       const void *start, const wire_parameter *given, const struct text *places) {
+  const struct {
+    const char *part;
+    const void *elements;
+  } sources[] = {{"medium", s->settings.layers},
+                 {"parameter", given},
+                 {"property", given},
+                 {"reference", &s->settings.reference},
+                 {"wavelength", &s->settings.wavelength_nm},
+                 {"r", places != NULL ? places->bytes : NULL},
+                 {"at", s->lists[SCPI_PLACES].bytes},
+                 {"values", s->lists[SCPI_READINGS].bytes},
+                 {"errors", s->lists[SCPI_DEVIATIONS].bytes}};
+  const schema_payload *payload = schema_messages[type - 1].request;
+  struct text *text = &s->tasks[index].payload;
+  schema_layout layout;
+  text_reset(text);
+  if (!schema_lay_out(payload, start, s->server->options.max_frame_bytes, &layout, NULL)) {
+    return fail_with(s, SCPI_TOO_MUCH, NULL, NULL);
   }
-  return bytes;
+  uint8_t *bytes = (uint8_t *)text_room(text, (size_t)layout.payload_bytes);
+  if (bytes == NULL) {
+    return fail_with(s, SCPI_NO_MEMORY, NULL, NULL);
+  }
+  text->count = (size_t)layout.payload_bytes;
+  memcpy(bytes, start, payload->fixed_bytes);
+  for (unsigned i = 0; payload->parts[i].name != NULL; i++) {
+    const void *elements = NULL;
+    for (size_t k = 0; k < sizeof sources / sizeof sources[0]; k++) {
+      elements =
+          strcmp(sources[k].part, payload->parts[i].name) == 0 ? sources[k].elements : elements;
+    }
+    const bool narrow = layout.parts[i].bytes == sizeof(float);
+    schema_put_part(bytes, &layout, i, narrow ? NULL : elements);
+    for (uint64_t k = 0; narrow && k < layout.parts[i].count; k++) {
+      put_value(bytes + layout.parts[i].at + k * sizeof(float), value_at(elements, k, false),
+                sizeof(float));
+    }
+  }
+  scpi_task_start(&s->tasks[index], type);
+  return true;
 }
 
 static bool has_medium(struct scpi_session *s) {
   return s->settings.layer_count > 0 ||
-         fail_with(s, CONFLICT, "MEDium", "a medium, which has no default");
+         fail_with(s, SCPI_CONFLICT, "MEDium", "a medium, which has no default");
 }
 
-/* Starts a job for which the unit waits. */
-static enum outcome wait_for(struct scpi_session *s, const struct scpi_command *command,
-                             enum wire_type type) {
-  s->waits_for = command;
-  scpi_task_start(&s->tasks[SCPI_EVAL], type);
-  return WAITS;
+/* Returns the reply of a job that has ended; notes an error if there is none. */
+static const uint8_t *reply_of(struct scpi_session *s, const struct scpi_command *command,
+                               schema_layout *layout) {
+  const struct scpi_task *task = &s->tasks[command->task];
+  if (task->state != SCPI_TASK_DONE) {
+    fail_with(s, SCPI_STALE, command->pattern, "when a job has ended: see *OPC?");
+    return NULL;
+  }
+  const uint8_t *reply = (const uint8_t *)task->reply.bytes;
+  schema_lay_out(command->task == SCPI_FIT ? &schema_fit_reply : &schema_mc_reply, reply,
+                 UINT64_MAX, layout, NULL);
+  return reply;
 }
 
-static enum outcome start_eval(struct scpi_session *s, const struct scpi_command *command,
-                               const struct http_text *places) {
-  core_parameters parameters = s->settings.parameters;
-  wire_eval_request start = s->settings.eval;
+/* Answers with the fields of a part's first structure that `parameters` lists; sd_X is the root of
+ * variance_X. */
+COMMAND(tell_fields) {
+  double values[sizeof(wire_fitted) / sizeof(double)];
+  size_t count = 0, bytes, at;
   schema_layout layout;
-  if (!has_medium(s)) {
+  const uint8_t *reply = reply_of(s, command, &layout);
+  if (reply == NULL || !took_all(s, unit)) {
     return FAILED;
   }
-  if ((command->number & (CORE_QUANTITY_PHASE | CORE_QUANTITY_MODULATION)) == 0) {
-    parameters.value[CORE_PARAMETER_MHZ] = NAN;
+  reply += layout.parts[command->number].at;
+  for (const char *name = command->parameters; *name != '\0';
+       name += bytes + strspn(name + bytes, ", ")) {
+    char text[HEADER_BYTES];
+    const bool root = strncmp(name, "sd_", 3) == 0;
+    bytes = strcspn(name, ",");
+    snprintf(text, sizeof text, "%s%.*s", root ? "variance_" : "", (int)bytes - 3 * root,
+             name + 3 * root);
+    const schema_field *field = field_named(command->structure, text, strlen(text), &at);
+    const double value = number_at(field, reply + at);
+    values[count++] = root ? sqrt(value) : value;
   }
-  start.wanted = (uint32_t)command->number | CORE_QUANTITY_MODEL_ERROR;
-  start.layer_count = s->settings.layer_count;
-  start.parameter_count = (uint16_t)schema_count_parameters(&parameters);
-  start.radius_count = places != NULL ? places->count / sizeof(double) : 0;
-  uint8_t *payload = begin_payload(s, SCPI_EVAL, &schema_eval_request, &start, &layout);
-  if (payload == NULL) {
-    return FAILED;
-  }
-  schema_put_part(payload, &layout, EVAL_MEDIA, s->settings.layers);
-  schema_put_parameters(payload + layout.parts[EVAL_PARAMETERS].at, &parameters);
-  const size_t each = core_evaluator_bytes(start.evaluator);
-  for (size_t i = 0; i < start.radius_count; i++) {
-    const double place = value_at((const uint8_t *)places->bytes, i, false);
-    const float narrow = (float)place;
-    memcpy(payload + layout.parts[EVAL_RADII].at + i * each,
-           each == sizeof narrow ? (const void *)&narrow : (const void *)&place, each);
-  }
-  return wait_for(s, command, WIRE_TYPE_EVAL);
+  return answer_values(s, values, count, false);
 }
+
+/* ---- evals and media of tissues --------------------------------------------------------------- */
 
 COMMAND(ask_quantity) {
   const bool given = command->parameters[0] != '\0';
-  const bool albedo = command->number == CORE_QUANTITY_ALBEDO;
+  const unsigned quantity = (unsigned)command->number;
+  const bool albedo = quantity == CORE_QUANTITY_ALBEDO;
+  core_parameters parameters = s->settings.parameters;
+  wire_parameter list[CORE_PARAMETERS_END];
+  wire_eval_request start = s->settings.eval;
   if (given && !take_list(s, unit)) {
     return FAILED;
   }
-  if (!given && !albedo && length_of(s, SCPI_RADII) == 0) {
+  const enum scpi_list places = given ? SCPI_GIVEN : SCPI_RADII;
+  if (!given && !albedo && length_of(s, places) == 0) {
     return answer_values(s, NULL, 0, false);
   }
-  return start_eval(s, command, albedo ? NULL : &s->lists[given ? SCPI_GIVEN : SCPI_RADII]);
+  if ((quantity & (CORE_QUANTITY_PHASE | CORE_QUANTITY_MODULATION)) == 0) {
+    parameters.value[CORE_PARAMETER_MHZ] = NAN;
+  }
+  start.wanted = quantity | CORE_QUANTITY_MODEL_ERROR;
+  start.layer_count = s->settings.layer_count;
+  start.parameter_count = list_given(parameters.value, CORE_PARAMETERS_END, list);
+  start.radius_count = albedo ? 0 : length_of(s, places);
+  s->waits_for = command;
+  return has_medium(s) && start_task(s, SCPI_EVAL, WIRE_TYPE_EVAL, &start, list, &s->lists[places])
+             ? WAITS
+             : FAILED;
 }
 
 /* Answers with the values of an eval that has ended, and keeps its errors. */
 static void answer_eval(struct scpi_session *s, const struct scpi_command *command) {
-  const struct http_text *reply = &s->tasks[SCPI_EVAL].reply;
+  const struct text *reply = &s->tasks[SCPI_EVAL].reply;
   const uint8_t *bytes = (const uint8_t *)reply->bytes;
   const unsigned quantity = (unsigned)command->number;
   wire_eval_reply fixed;
@@ -759,66 +784,17 @@ COMMAND(tell_eval_errors) {
   return answer_decimals(s, &s->errors, 3, false);
 }
 
-/* ---- tissue ---------------------------------------------------------------------------------- */
-
-COMMAND(use_property) {
-  struct scpi_parameter parameter;
-  double value = NAN;
-  (void)command;
-  if (!take_parameter(s, unit, &parameter)) {
-    return FAILED;
-  }
-  const core_choice *one = core_properties;
-  while (one->name != NULL && (strlen(one->name) != parameter.bytes ||
-                               strncasecmp(one->name, parameter.text, parameter.bytes) != 0)) {
-    one++;
-  }
-  if (one->name == NULL) {
-    return fail_with(s, BAD_VALUE, "property", "a name of core/TISSUE.md, as hbo2_uM");
-  }
-  double *property = &s->settings.properties[one->id];
-  if (unit->query) {
-    return took_all(s, unit) ? answer_decimals(s, property, 1, false) : FAILED;
-  }
-  if (!take_parameter(s, unit, &parameter) || !took_all(s, unit) ||
-      (!is_word(&parameter, "OFF") && !read_number(s, &parameter, NULL, &value))) {
-    return FAILED;
-  }
-  *property = value;
-  return DONE;
-}
-
 /* Makes the medium of the tissue at a wavelength. */
 COMMAND(use_wavelength) {
-  struct scpi_parameter parameter;
+  wire_parameter list[CORE_PROPERTIES_END];
   wire_tissue_request start = s->settings.tissue;
-  schema_layout layout;
-  double value;
-  if (unit->query) {
-    return answer_decimals(s, &s->settings.wavelength_nm, 1, false);
+  const enum outcome outcome = use_fields(s, command, unit);
+  if (outcome != DONE || unit->query) {
+    return outcome;
   }
-  if (!take_parameter(s, unit, &parameter) || !read_number(s, &parameter, NULL, &value) ||
-      !took_all(s, unit)) {
-    return FAILED;
-  }
-  for (int i = 0; i < CORE_PROPERTIES_END; i++) {
-    start.property_count += !isnan(s->settings.properties[i]);
-  }
-  uint8_t *payload = begin_payload(s, SCPI_EVAL, &schema_tissue_request, &start, &layout);
-  if (payload == NULL) {
-    return FAILED;
-  }
-  uint8_t *at = payload + layout.parts[0].at;
-  for (int i = 0; i < CORE_PROPERTIES_END; i++) {
-    const wire_parameter property = {.parameter = (uint16_t)i, .value = s->settings.properties[i]};
-    if (!isnan(property.value)) {
-      wire_put_parameter(at, &property);
-      at += WIRE_BYTES_parameter;
-    }
-  }
-  schema_put_part(payload, &layout, 1, &value);
-  s->settings.wavelength_nm = value;
-  return wait_for(s, command, WIRE_TYPE_TISSUE);
+  start.property_count = list_given(s->settings.properties, CORE_PROPERTIES_END, list);
+  s->waits_for = command;
+  return start_task(s, SCPI_EVAL, WIRE_TYPE_TISSUE, &start, list, NULL) ? WAITS : FAILED;
 }
 
 /* Takes the medium of a tissue that has been made. */
@@ -829,101 +805,50 @@ static void take_tissue(struct scpi_session *s) {
   s->settings.named = NULL;
 }
 
-/* ---- overlapped jobs ------------------------------------------------------------------------- */
+/* ---- fits and Monte Carlo -------------------------------------------------------------------- */
+
+static bool is_under_way(const struct scpi_task *task) {
+  return task->state == SCPI_TASK_RUNS || task->state == SCPI_TASK_ENDS;
+}
 
 /* Notes in the status which overlapped jobs are under way, and that all have ended. */
-static void note_jobs(struct scpi_session *s) {
+static enum outcome note_jobs(struct scpi_session *s) {
   const bool measures = scpi_session_measures(s);
   scpi_status_set(&s->status.operation, measures ? SCPI_OPERATION_MEASURING : 0);
   if (!measures) {
     s->status.events |= s->completes ? SCPI_EVENT_COMPLETE : 0;
     s->completes = s->held = false;
   }
-}
-
-static enum outcome start_overlapped(struct scpi_session *s, enum scpi_task_index index,
-                                     enum wire_type type) {
-  scpi_task_start(&s->tasks[index], type);
-  note_jobs(s);
   return DONE;
 }
 
 /* Returns whether a job of this kind can be started. */
 static bool is_free(struct scpi_session *s, const struct scpi_command *command,
-                    const struct scpi_task *task) {
-  const bool runs = task->state == SCPI_TASK_RUNS || task->state == SCPI_TASK_ENDS;
-  return runs ? fail_with(s, CONFLICT, command->pattern, "when the one that runs has ended")
-              : has_medium(s);
+                    enum scpi_task_index index) {
+  return is_under_way(&s->tasks[index])
+             ? fail_with(s, SCPI_CONFLICT, command->pattern, "when the one that runs has ended")
+             : has_medium(s);
 }
 
 COMMAND(start_fit) {
   const size_t count = length_of(s, SCPI_PLACES);
   const wire_medium *medium = &s->settings.layers[0];
   fit_start start = s->settings.fit;
-  schema_layout layout;
   (void)unit;
-  if (!is_free(s, command, &s->tasks[SCPI_FIT])) {
+  if (!is_free(s, command, SCPI_FIT)) {
     return FAILED;
   }
   if (s->settings.layer_count > 1) {
-    return fail_with(s, CONFLICT, "MEDium", "one layer: its g, eta and thickness");
+    return fail_with(s, SCPI_CONFLICT, "MEDium", "one layer: its g, eta and thickness");
   }
   if (length_of(s, SCPI_READINGS) != count || length_of(s, SCPI_DEVIATIONS) != count) {
-    return fail_with(s, UNEQUAL_LISTS, "FIT", "as many PLACes, READings and ERRors");
+    return fail_with(s, SCPI_UNEQUAL_LISTS, "FIT", "as many PLACes, READings and ERRors");
   }
   start.design.reading_count = (uint32_t)count;
   start.design.g = medium->g;
   start.design.eta = medium->eta;
   start.design.thickness = medium->thickness;
-  uint8_t *payload = begin_payload(s, SCPI_FIT, &schema_fit_request, &start, &layout);
-  if (payload == NULL) {
-    return FAILED;
-  }
-  schema_put_part(payload, &layout, FIT_REFERENCE, &s->settings.reference);
-  schema_put_part(payload, &layout, FIT_AT, s->lists[SCPI_PLACES].bytes);
-  schema_put_part(payload, &layout, FIT_VALUES, s->lists[SCPI_READINGS].bytes);
-  schema_put_part(payload, &layout, FIT_ERRORS, s->lists[SCPI_DEVIATIONS].bytes);
-  return start_overlapped(s, SCPI_FIT, WIRE_TYPE_FIT);
-}
-
-/* Returns the reply of an overlapped job that has ended; notes an error if there is none. */
-static const uint8_t *reply_of(struct scpi_session *s, const struct scpi_command *command,
-                               enum scpi_task_index index) {
-  if (s->tasks[index].state == SCPI_TASK_DONE) {
-    return (const uint8_t *)s->tasks[index].reply.bytes;
-  }
-  fail_with(s, STALE, command->pattern, "when a job has ended: see *OPC?");
-  return NULL;
-}
-
-/* The schema of a reply, which begins with a structure; then come its parts. */
-static const schema_payload *const replies[] = {
-    [SCPI_FIT] = &schema_fit_reply, [SCPI_MC] = &schema_mc_reply};
-
-/* Answers with the fields of a part's first structure that `parameters` lists; sd_X is the root of
- * variance_X. */
-COMMAND(tell_fields) {
-  const uint8_t *reply = reply_of(s, command, command->most);
-  double values[sizeof(wire_fitted) / sizeof(double)];
-  size_t count = 0, bytes, at;
-  schema_layout layout;
-  if (reply == NULL || !took_all(s, unit)) {
-    return FAILED;
-  }
-  schema_lay_out(replies[command->most], reply, UINT64_MAX, &layout, NULL);
-  reply += layout.parts[command->number].at;
-  for (const char *name = command->parameters; *name != '\0';
-       name += bytes + strspn(name + bytes, ", ")) {
-    char text[HEADER_BYTES];
-    const bool root = strncmp(name, "sd_", 3) == 0;
-    bytes = strcspn(name, ",");
-    snprintf(text, sizeof text, "%s%.*s", root ? "variance_" : "", (int)bytes - 3 * root,
-             name + 3 * root);
-    const schema_field *field = field_named(command->structure, text, strlen(text), &at);
-    const double value = number_at(field, reply + at);
-    values[count++] = root ? sqrt(value) : value;
-  }
-  return answer_values(s, values, count, false);
+  return start_task(s, SCPI_FIT, WIRE_TYPE_FIT, &start, NULL, NULL) ? note_jobs(s) : FAILED;
 }
 
 /* Sets the bits of STATus:QUEStionable that a fit which has ended has. */
@@ -940,18 +865,11 @@ static void note_fit(struct scpi_session *s) {
 
 COMMAND(start_mc) {
   wire_mc_request start = s->settings.mc;
-  schema_layout layout;
   (void)unit;
-  if (!is_free(s, command, &s->tasks[SCPI_MC])) {
-    return FAILED;
-  }
   start.layer_count = s->settings.layer_count;
-  uint8_t *payload = begin_payload(s, SCPI_MC, &schema_mc_request, &start, &layout);
-  if (payload == NULL) {
-    return FAILED;
-  }
-  schema_put_part(payload, &layout, 0, s->settings.layers);
-  return start_overlapped(s, SCPI_MC, WIRE_TYPE_MC);
+  return is_free(s, command, SCPI_MC) && start_task(s, SCPI_MC, WIRE_TYPE_MC, &start, NULL, NULL)
+             ? note_jobs(s)
+             : FAILED;
 }
 
 COMMAND(tell_progress) {
@@ -959,8 +877,7 @@ COMMAND(tell_progress) {
   wire_mc_reply reply = {.photons_expected = s->settings.mc.photons, .error_total = INFINITY};
   (void)unit;
   if (task->state == SCPI_TASK_NONE) {
-    reply_of(s, command, SCPI_MC);
-    return FAILED;
+    return fail_with(s, SCPI_STALE, command->pattern, "when MC:STARt has begun");
   }
   if (task->reply.count >= WIRE_BYTES_mc_reply) {
     wire_get_mc_reply((const uint8_t *)task->reply.bytes, &reply);
@@ -970,27 +887,35 @@ COMMAND(tell_progress) {
   return answer_decimals(s, values, 4, false);
 }
 
-enum { MC_VALUES, MC_DEVIATIONS, MC_EDGES };
+COMMAND(tell_edges) {
+  schema_layout layout;
+  const uint8_t *reply = reply_of(s, command, &layout);
+  (void)unit;
+  return reply == NULL ? FAILED
+                       : answer_values(s, reply + layout.parts[0].at, layout.parts[0].count, false);
+}
 
-COMMAND(tell_mc) {
+/* Answers with the values of a side, or their standard errors. */
+COMMAND(tell_rings) {
   wire_mc_reply fixed;
-  mc_layout layout;
-  unsigned side = 1;
-  const uint8_t *reply = reply_of(s, command, SCPI_MC);
+  schema_layout layout;
+  uint32_t side = 1;
+  const uint8_t *reply = reply_of(s, command, &layout);
   if (reply == NULL) {
     return FAILED;
   }
-  mc_reply_parse(reply, s->tasks[SCPI_MC].reply.count, &fixed, &layout);
-  if (command->number == MC_EDGES) {
-    return answer_values(s, reply + layout.edges_offset, fixed.ring_count + 1, false);
-  }
-  if (unit->at < unit->end &&
-      !take_integer(s, unit, command->pattern, 1, fixed.side_count, &side)) {
+  wire_get_mc_reply(reply, &fixed);
+  const schema_field field = {.name = command->pattern,
+                              .kind = SCHEMA_u32,
+                              .count = 1,
+                              .ranged = true,
+                              .least = 1,
+                              .most = fixed.side_count};
+  if (unit->at < unit->end && (!take_field(s, unit, &field, NULL, &side) || !took_all(s, unit))) {
     return FAILED;
   }
-  return answer_values(s,
-                       reply + mc_rings_offset(&layout, fixed.side_count, fixed.ring_count, 0,
-                                               side - 1, command->number == MC_DEVIATIONS),
+  const size_t array = 2 * (side - 1) + command->number;
+  return answer_values(s, reply + layout.parts[3].at + array * fixed.ring_count * sizeof(double),
                        fixed.ring_count, false);
 }
 
@@ -1007,20 +932,43 @@ static void stop_job(struct scpi_task *task, enum job_stop why) {
 COMMAND(abort_job) {
   (void)unit;
   stop_job(&s->tasks[command->number], JOB_CANCELLED);
-  note_jobs(s);
-  return DONE;
+  return note_jobs(s);
 }
 
 /* ---- the list -------------------------------------------------------------------------------- */
 
+#define RANGE(from, to) .ranged = true, .least = (from), .most = (to)
+#define USUAL(number) .usual = (number)
+#define ORDER .list = orders, .allowed = "NORMal or SWAPped"
+static const core_choice orders[] = {
+    {SCPI_NORMAL, "NORMal", ""}, {SCPI_SWAPPED, "SWAPped", ""}, {0, NULL, NULL}};
+
+/* A row with one field, which is a member of the session. */
+#define ONE_FIELD(pattern, FORMS, function, member, value, parameters, ...)                        \
+  {pattern,                                                                                        \
+   FORMS,                                                                                          \
+   function,                                                                                       \
+   offsetof(struct scpi_session, member),                                                          \
+   0,                                                                                              \
+   &(const schema_structure){                                                                      \
+       NULL,                                                                                       \
+       (const schema_field[]){{.name = pattern, .kind = SCHEMA_##value, .count = 1, __VA_ARGS__},  \
+                              {.name = NULL}},                                                     \
+       sizeof((struct scpi_session *)NULL)->member},                                               \
+   parameters},
+
 static const struct scpi_command commands[] = {
 #define SCPI_COMMAND(pattern, FORMS, function, number, parameters, about)                          \
-  {pattern, FORMS, function, number, 0, NULL, parameters},
-#define SCPI_REGISTER(pattern, FORMS, member, most, about)                                         \
-  {pattern, FORMS, use_register, offsetof(struct scpi_status, member), most, NULL, "<n>"},
+  {pattern, FORMS, function, number, SCPI_MC, NULL, parameters},
+#define SCPI_REGISTER(pattern, FORMS, member, largest, about)                                      \
+  ONE_FIELD(pattern, FORMS, use_fields, status.member, u16, "<n>", RANGE(0, largest))
 #define SCPI_FIELDS(pattern, function, member, structure, parameters, about)                       \
-  {pattern,   BOTH, function, offsetof(struct scpi_settings, member), 0, FIELDS_OF(structure),     \
+  {pattern,   BOTH,                                                                                \
+   function,  offsetof(struct scpi_session, settings.member),                                      \
+   0,         FIELDS_OF(structure),                                                                \
    parameters},
+#define SCPI_FIELD(pattern, FORMS, function, member, value, attributes, parameters, about)         \
+  ONE_FIELD(pattern, FORMS, function, settings.member, value, parameters, attributes)
 #define SCPI_NUMBERS(pattern, FORMS, LIST, parameters, about)                                      \
   {pattern, FORMS, use_numbers, SCPI_##LIST, 0, NULL, parameters},
 #define SCPI_QUANTITY(pattern, QUANTITY, parameters, about)                                        \
@@ -1034,20 +982,17 @@ enum { COMMANDS = sizeof commands / sizeof commands[0] };
 
 COMMAND(tell_headers) {
   UNUSED;
-  struct http_text list;
-  char head[32];
-  http_text_init(&list, &s->server->buffers);
+  struct text list;
+  text_init(&list, &s->server->buffers);
   for (const struct scpi_command *one = commands; one < commands + COMMANDS; one++) {
     const char *forms = one->forms == SET ? "/nquery/\n" : one->forms == BOTH ? "\n" : "/qonly/\n";
-    http_text_add(&list, ":", one->pattern[0] != '*');
-    http_text_add(&list, one->pattern, strlen(one->pattern));
-    http_text_add(&list, forms, strlen(forms));
+    text_add(&list, ":", one->pattern[0] != '*');
+    text_add(&list, one->pattern, strlen(one->pattern));
+    text_add(&list, forms, strlen(forms));
   }
-  const int digits = snprintf(head, sizeof head, "%zu", list.count);
-  snprintf(head, sizeof head, "#%d%zu", digits, list.count);
-  add_answer(s, ';', head);
-  http_text_add(&s->answers, list.bytes, list.count);
-  http_text_free(&list);
+  answer_block(s, list.count);
+  text_add(&s->answers, list.bytes, list.count);
+  text_free(&list);
   return DONE;
 }
 
@@ -1102,9 +1047,9 @@ void scpi_session_init(struct scpi_session *s, struct client *client, struct ser
   s->server = server;
   s->errors = (wire_quantity_error){NAN, NAN, NAN};
   s->status.events = SCPI_EVENT_POWER_ON;
-  http_text_init(&s->answers, &server->buffers);
+  text_init(&s->answers, &server->buffers);
   for (int i = 0; i < SCPI_LISTS; i++) {
-    http_text_init(&s->lists[i], &server->buffers);
+    text_init(&s->lists[i], &server->buffers);
   }
   for (int i = 0; i < SCPI_TASKS; i++) {
     scpi_task_init(&s->tasks[i], s);
@@ -1113,22 +1058,18 @@ void scpi_session_init(struct scpi_session *s, struct client *client, struct ser
 }
 
 void scpi_session_free(struct scpi_session *s) {
-  http_text_free(&s->answers);
+  text_free(&s->answers);
   for (int i = 0; i < SCPI_LISTS; i++) {
-    http_text_free(&s->lists[i]);
+    text_free(&s->lists[i]);
   }
   for (int i = 0; i < SCPI_TASKS; i++) {
-    http_text_free(&s->tasks[i].payload);
-    http_text_free(&s->tasks[i].reply);
+    text_free(&s->tasks[i].payload);
+    text_free(&s->tasks[i].reply);
   }
 }
 
 bool scpi_session_measures(const struct scpi_session *s) {
-  bool measures = false;
-  for (int i = SCPI_FIT; i < SCPI_TASKS; i++) {
-    measures |= s->tasks[i].state == SCPI_TASK_RUNS || s->tasks[i].state == SCPI_TASK_ENDS;
-  }
-  return measures;
+  return is_under_way(&s->tasks[SCPI_FIT]) || is_under_way(&s->tasks[SCPI_MC]);
 }
 
 static enum outcome carry_out(struct scpi_session *s, struct scpi_unit *unit) {
@@ -1137,7 +1078,7 @@ static enum outcome carry_out(struct scpi_session *s, struct scpi_unit *unit) {
     char header[HEADER_BYTES + 2];
     const int most = (int)(unit->header_bytes < HEADER_BYTES ? unit->header_bytes : HEADER_BYTES);
     snprintf(header, sizeof header, "%.*s%s", most, unit->header, unit->query ? "?" : "");
-    return fail_with(s, UNDEFINED_HEADER, header, NULL);
+    return fail_with(s, SCPI_UNDEFINED_HEADER, header, NULL);
   }
   if (command->pattern[0] != '*') {
     s->command = command;
@@ -1157,20 +1098,19 @@ bool scpi_session_step(struct scpi_session *s, const char *message, size_t count
   const enum outcome outcome = error != 0               ? fail_with(s, error, NULL, NULL)
                                : unit.header_bytes == 0 ? DONE
                                                         : carry_out(s, &unit);
-  if (outcome == WAITS) {
-    *at = s->held ? *at : next;
-    return true;
+  if (outcome != WAITS) {
+    s->waits_for = NULL;
   }
-  *at = next;
-  return outcome == DONE && next < count;
+  *at = outcome == WAITS && s->held ? *at : next;
+  return outcome == WAITS || (outcome == DONE && next < count);
 }
 
 void scpi_session_end_message(struct scpi_session *s) {
   if (s->answers.failed) {
-    http_text_free(&s->answers);
-    fail_with(s, NO_MEMORY, NULL, NULL);
+    text_free(&s->answers);
+    fail_with(s, SCPI_NO_MEMORY, NULL, NULL);
   }
-  http_text_add(&s->answers, "\n", s->answers.count > 0);
+  text_add(&s->answers, "\n", s->answers.count > 0);
 }
 
 void scpi_session_run(struct scpi_session *s, uint64_t *budget) {
@@ -1192,7 +1132,7 @@ bool scpi_session_finish(struct scpi_session *s) {
     }
     const bool refused = task->error.status != WIRE_STATUS_OK;
     task->state = refused ? SCPI_TASK_NONE : SCPI_TASK_DONE;
-    http_text_reset(&task->payload);
+    text_reset(&task->payload);
     if (refused) {
       scpi_status_refuse(&s->status, &task->error);
     } else if (i == SCPI_EVAL && s->waits_for->carry_out == use_wavelength) {
@@ -1205,7 +1145,7 @@ bool scpi_session_finish(struct scpi_session *s) {
     if (i == SCPI_EVAL) {
       good = !refused;
       s->waits_for = NULL;
-      http_text_reset(&task->reply);
+      text_reset(&task->reply);
     }
     note_jobs(s);
   }

@@ -30,7 +30,7 @@ static void on_closed(void *owner) {
   struct scpi_connection *c = owner;
   stats_subtract(&c->server->stats, STATS_SCPI_CONNECTIONS_OPEN, 1);
   worker_forget(&c->client);
-  http_text_free(&c->input);
+  text_free(&c->input);
   scpi_session_free(&c->session);
   free(c);
 }
@@ -65,14 +65,14 @@ static void wrote(struct scpi_connection *c, uint64_t bytes) {
   if (c->sent_bytes == c->session.answers.count) {
     c->answered = false;
     c->sent_bytes = 0;
-    http_text_reset(&c->session.answers);
+    text_reset(&c->session.answers);
   }
 }
 
 /* Writes as much of the answers as the socket takes. */
 static void write_answers(struct scpi_connection *c) {
   while (c->answered && !c->transport.writing && !c->closing) {
-    const struct http_text *answers = &c->session.answers;
+    const struct text *answers = &c->session.answers;
     const uv_buf_t rest =
         uv_buf_init(answers->bytes + c->sent_bytes, (unsigned)(answers->count - c->sent_bytes));
     wrote(c, transport_write(&c->transport, &rest, 1));
@@ -96,7 +96,7 @@ static void end_message(struct scpi_connection *c) {
   c->scan = (struct scpi_scan){0};
   if (c->begin == c->input.count) {
     c->begin = 0;
-    http_text_reset(&c->input);
+    text_reset(&c->input);
   }
   scpi_session_end_message(&c->session);
   c->answered = c->session.answers.count > 0;
@@ -109,7 +109,7 @@ static void drop_message(struct scpi_connection *c, int error, const char *what)
     scpi_status_fail(&c->session.status, error, "message", what);
   }
   c->begin = c->scan.at = 0;
-  http_text_free(&c->input);
+  text_free(&c->input);
 }
 
 /* Looks for the end of the first message. Returns whether it has arrived completely. */
@@ -127,10 +127,10 @@ static bool find_message(struct scpi_connection *c) {
     }
   }
   if (c->message_bytes == 0 && (c->skipping || count >= c->server->options.max_part_bytes)) {
-    drop_message(c, -363, "up to max_part_bytes");
+    drop_message(c, SCPI_OVERRUN, "up to max_part_bytes");
     c->skipping = true;
   } else if (c->message_bytes > c->server->options.max_part_bytes && c->at == 0) {
-    scpi_status_fail(&c->session.status, -363, "message", "up to max_part_bytes");
+    scpi_status_fail(&c->session.status, SCPI_OVERRUN, "message", "up to max_part_bytes");
     c->at = c->message_bytes;
   }
   return c->message_bytes > 0;
@@ -170,11 +170,11 @@ static size_t find_room(void *owner, uint8_t **room) {
     c->input.count -= c->begin;
     c->begin = 0;
   }
-  *room = (uint8_t *)http_text_room(&c->input, READ_BYTES);
+  *room = (uint8_t *)text_room(&c->input, READ_BYTES);
   if (*room == NULL && c->message_bytes == 0) {
-    drop_message(c, -321, "later: the buffers of all connections are full");
+    drop_message(c, SCPI_NO_MEMORY, "later: the buffers of all connections are full");
     c->skipping = true;
-    *room = (uint8_t *)http_text_room(&c->input, READ_BYTES);
+    *room = (uint8_t *)text_room(&c->input, READ_BYTES);
   }
   return *room != NULL ? c->input.capacity - c->input.count : 0;
 }
@@ -280,7 +280,7 @@ static void check_time(struct client *client, uint64_t time_ms) {
   }
   if (c->message_bytes == 0 && (c->input.count > c->begin || c->skipping) &&
       silence_ms > options->frame_timeout_ms) {
-    drop_message(c, -365, "one that ends with a newline");
+    drop_message(c, SCPI_TIME_OUT, "one that ends with a newline");
     c->skipping = false;
     c->scan = (struct scpi_scan){0};
   }
@@ -311,7 +311,7 @@ struct scpi_connection *scpi_connection_new(struct server *server, int fd) {
     c->client.kind = &kind;
     c->server = server;
     c->fd = fd;
-    http_text_init(&c->input, &server->buffers);
+    text_init(&c->input, &server->buffers);
     scpi_session_init(&c->session, &c->client, server);
   }
   return c;

@@ -18,7 +18,7 @@ struct scpi_connection {
   struct transport transport;
   struct scpi_session session;
 
-  struct http_text input;
+  struct text input;
   size_t begin;          /* where the first message begins that has not been carried out */
   size_t message_bytes;  /* its length with its newline; 0: it has not arrived completely */
   size_t at;             /* where its next unit begins, from `begin` on */

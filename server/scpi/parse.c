@@ -5,9 +5,7 @@
 #include <strings.h>
 
 #include "proto/decimal.h"
-
-enum { UNDEFINED_CHARACTER = -101, BAD_SEPARATOR = -103, BAD_TYPE = -104, MISSING = -109 };
-enum { BAD_DECIMAL = -121, BAD_STRING = -151, BAD_BLOCK = -161 };
+#include "server/scpi/status.h"
 
 static bool is_blank(char byte) {
   return (byte >= 0 && byte <= ' ') && byte != '\n';
@@ -84,12 +82,12 @@ int scpi_next_unit(const char *message, size_t count, size_t *at, struct scpi_un
   unit->header = from;
   for (; from < end && !is_blank(*from); from++) {
     if (!isalnum((unsigned char)*from) && strchr(":*_?", *from) == NULL) {
-      return UNDEFINED_CHARACTER;
+      return SCPI_UNDEFINED_CHARACTER;
     }
   }
   unit->header_bytes = (size_t)(from - unit->header);
   if (unit->header_bytes == 0 && begin < end) {
-    return UNDEFINED_CHARACTER;
+    return SCPI_UNDEFINED_CHARACTER;
   }
   unit->query = unit->header_bytes > 1 && from[-1] == '?';
   unit->header_bytes -= unit->query;
@@ -105,7 +103,7 @@ static int take_string(struct scpi_unit *unit, struct scpi_parameter *parameter)
   const char mark = *unit->at++;
   const char *close = memchr(unit->at, mark, (size_t)(unit->end - unit->at));
   if (close == NULL) {
-    return BAD_STRING;
+    return SCPI_BAD_STRING;
   }
   *parameter = (struct scpi_parameter){SCPI_STRING, unit->at, (size_t)(close - unit->at)};
   unit->at = close + 1;
@@ -118,13 +116,13 @@ static int take_block(struct scpi_unit *unit, struct scpi_parameter *parameter) 
   uint64_t length = 0;
   unsigned digits = at < unit->end && is_digit(*at) ? (unsigned)(*at++ - '0') : 0;
   if (digits == 0) {
-    return at < unit->end && isalpha((unsigned char)*at) ? BAD_TYPE : BAD_BLOCK;
+    return at < unit->end && isalpha((unsigned char)*at) ? SCPI_BAD_TYPE : SCPI_BAD_BLOCK;
   }
   for (; digits > 0 && at < unit->end && is_digit(*at); digits--) {
     length = 10 * length + (uint64_t)(*at++ - '0');
   }
   if (digits > 0 || length > (uint64_t)(unit->end - at)) {
-    return BAD_BLOCK;
+    return SCPI_BAD_BLOCK;
   }
   *parameter = (struct scpi_parameter){SCPI_BLOCK, at, (size_t)length};
   unit->at = at + length;
@@ -142,23 +140,23 @@ static int take_plain(struct scpi_unit *unit, struct scpi_parameter *parameter) 
   }
   *parameter =
       (struct scpi_parameter){word ? SCPI_WORD : SCPI_DECIMAL, from, (size_t)(unit->at - from)};
-  return unit->at > from ? 0 : UNDEFINED_CHARACTER;
+  return unit->at > from ? 0 : SCPI_UNDEFINED_CHARACTER;
 }
 
 int scpi_next_parameter(struct scpi_unit *unit, struct scpi_parameter *parameter) {
   *parameter = (struct scpi_parameter){SCPI_NOTHING};
   skip_blanks(&unit->at, unit->end);
   if (unit->at == unit->end) {
-    return unit->more ? MISSING : 0;
+    return unit->more ? SCPI_MISSING : 0;
   }
   const int error = *unit->at == '"' || *unit->at == '\'' ? take_string(unit, parameter)
                     : *unit->at == '#'                    ? take_block(unit, parameter)
-                    : *unit->at == ','                    ? MISSING
+                    : *unit->at == ','                    ? SCPI_MISSING
                                                           : take_plain(unit, parameter);
   skip_blanks(&unit->at, unit->end);
   unit->more = unit->at < unit->end && *unit->at == ',';
   if (error == 0 && unit->at < unit->end && !unit->more) {
-    return BAD_SEPARATOR;
+    return SCPI_BAD_SEPARATOR;
   }
   unit->at += unit->more;
   return error;
@@ -167,11 +165,11 @@ int scpi_next_parameter(struct scpi_unit *unit, struct scpi_parameter *parameter
 int scpi_read_decimal(const struct scpi_parameter *parameter, double *value) {
   char text[64];
   if (parameter->kind != SCPI_DECIMAL || parameter->bytes >= sizeof text) {
-    return parameter->kind != SCPI_DECIMAL ? BAD_TYPE : BAD_DECIMAL;
+    return parameter->kind != SCPI_DECIMAL ? SCPI_BAD_TYPE : SCPI_BAD_DECIMAL;
   }
   memcpy(text, parameter->text, parameter->bytes);
   text[parameter->bytes] = '\0';
-  return decimal_read(text, value) ? 0 : BAD_DECIMAL;
+  return decimal_read(text, value) ? 0 : SCPI_BAD_DECIMAL;
 }
 
 /* ---- headers --------------------------------------------------------------------------------- */

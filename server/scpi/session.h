@@ -10,9 +10,9 @@
 
 #include "core/tissue/tissue.h"
 #include "proto/fit.h"
-#include "server/http/text.h"
 #include "server/jobs/run.h"
 #include "server/net/client.h"
+#include "server/net/text.h"
 #include "server/scpi/parse.h"
 #include "server/scpi/status.h"
 
@@ -21,7 +21,7 @@ struct scpi_task {
   struct scpi_session *session;
   enum { SCPI_TASK_NONE, SCPI_TASK_RUNS, SCPI_TASK_ENDS, SCPI_TASK_DONE } state;
   struct run run;
-  struct http_text payload, reply; /* the reply is that of the last job, or empty */
+  struct text payload, reply; /* the reply is that of the last job, or empty */
   uint64_t arrived_ns;
   wire_error error; /* why it has failed, or OK; set when it ends */
 };
@@ -32,6 +32,7 @@ enum scpi_task_index { SCPI_EVAL, SCPI_FIT, SCPI_MC, SCPI_TASKS };
 enum scpi_list { SCPI_GIVEN, SCPI_RADII, SCPI_PLACES, SCPI_READINGS, SCPI_DEVIATIONS, SCPI_LISTS };
 
 /* What *RST sets to the defaults. */
+enum { SCPI_NORMAL, SCPI_SWAPPED };
 struct scpi_settings {
   wire_eval_request eval;
   fit_start fit;
@@ -39,14 +40,14 @@ struct scpi_settings {
   wire_medium layers[CORE_LAYERS_MAX];
   unsigned layer_count;
   const core_measured_medium *named; /* whose channel the layers are; NULL: none */
-  unsigned channel;                  /* from 1 on */
+  uint32_t channel;                  /* from 1 on */
   wire_medium reference;
   core_parameters parameters;
   wire_tissue_request tissue;             /* without its counts */
   double properties[CORE_PROPERTIES_END]; /* NaN: as the tissue has it */
   double wavelength_nm;                   /* that the medium was made for */
   enum scpi_format { SCPI_ASCII, SCPI_REAL_32, SCPI_REAL_64 } format;
-  bool swapped; /* whether numbers in blocks are little-endian */
+  uint32_t order; /* of bytes in blocks: SCPI_NORMAL is big-endian */
 };
 
 struct scpi_session {
@@ -54,14 +55,14 @@ struct scpi_session {
   struct server *server;
   struct scpi_settings settings;
   struct scpi_status status;
-  struct http_text lists[SCPI_LISTS]; /* numbers of type double */
+  struct text lists[SCPI_LISTS]; /* numbers of type double */
   struct scpi_task tasks[SCPI_TASKS];
   wire_quantity_error errors;           /* of the last eval */
   bool completes;                       /* whether *OPC waits */
   const struct scpi_command *command;   /* the last one, which says at which node the next one is */
   const struct scpi_command *waits_for; /* whose job gives the answer; NULL: none */
   bool held;                            /* whether a unit waits for the overlapped jobs */
-  struct http_text answers;             /* to the message so far, without its newline */
+  struct text answers;                  /* to the message so far, without its newline */
 };
 
 void scpi_session_init(struct scpi_session *session, struct client *client, struct server *server);

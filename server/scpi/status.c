@@ -6,18 +6,9 @@
 static const struct {
   int number;
   const char *text;
-} texts[] = {{-100, "Command error"},         {-101, "Invalid character"},
-             {-103, "Invalid separator"},     {-104, "Data type error"},
-             {-108, "Parameter not allowed"}, {-109, "Missing parameter"},
-             {-113, "Undefined header"},      {-121, "Invalid character in number"},
-             {-151, "Invalid string data"},   {-161, "Invalid block data"},
-             {-203, "Command protected"},     {-220, "Parameter error"},
-             {-221, "Settings conflict"},     {-222, "Data out of range"},
-             {-223, "Too much data"},         {-224, "Illegal parameter value"},
-             {-226, "Lists not same length"}, {-230, "Data corrupt or stale"},
-             {-300, "Device-specific error"}, {-321, "Out of memory"},
-             {-350, "Queue overflow"},        {-363, "Input buffer overrun"},
-             {-365, "Time out error"}};
+} texts[] = {
+#define SCPI_ERROR(number, IDENT, text) {number, text},
+    SCPI_ERRORS(SCPI_ERROR)};
 
 static const char *text_of(int number) {
   size_t i = 0;
@@ -37,7 +28,7 @@ void scpi_status_fail(struct scpi_status *status, int number, const char *field,
   static const uint8_t event_of_class[] = {0, 32, 16, 8, 4}; /* -1xx, -2xx, -3xx, -4xx */
   status->events |= event_of_class[-number / 100];
   if (status->count == SCPI_ERRORS_MAX) {
-    number = -350;
+    number = SCPI_OVERFLOW;
     field = NULL;
   } else {
     status->count++;

@@ -9,6 +9,35 @@ enum {
   SCPI_ERROR_BYTES = 200, /* of number and text, with a zero byte */
 };
 
+/* The errors of SCPI-99 that are made here, and those that the list of statuses names. */
+#define SCPI_ERRORS(E)                                                                             \
+  E(-100, COMMAND, "Command error")                                                                \
+  E(-101, UNDEFINED_CHARACTER, "Invalid character")                                                \
+  E(-103, BAD_SEPARATOR, "Invalid separator")                                                      \
+  E(-104, BAD_TYPE, "Data type error")                                                             \
+  E(-108, NOT_ALLOWED, "Parameter not allowed")                                                    \
+  E(-109, MISSING, "Missing parameter")                                                            \
+  E(-113, UNDEFINED_HEADER, "Undefined header")                                                    \
+  E(-121, BAD_DECIMAL, "Invalid character in number")                                              \
+  E(-151, BAD_STRING, "Invalid string data")                                                       \
+  E(-161, BAD_BLOCK, "Invalid block data")                                                         \
+  E(-203, PROTECTED, "Command protected")                                                          \
+  E(-220, BAD_PARAMETER, "Parameter error")                                                        \
+  E(-221, CONFLICT, "Settings conflict")                                                           \
+  E(-222, OUT_OF_RANGE, "Data out of range")                                                       \
+  E(-223, TOO_MUCH, "Too much data")                                                               \
+  E(-224, BAD_VALUE, "Illegal parameter value")                                                    \
+  E(-226, UNEQUAL_LISTS, "Lists not same length")                                                  \
+  E(-230, STALE, "Data corrupt or stale")                                                          \
+  E(-300, DEVICE, "Device-specific error")                                                         \
+  E(-321, NO_MEMORY, "Out of memory")                                                              \
+  E(-350, OVERFLOW, "Queue overflow")                                                              \
+  E(-363, OVERRUN, "Input buffer overrun")                                                         \
+  E(-365, TIME_OUT, "Time out error")
+#define SCPI_ERROR(number, IDENT, text) SCPI_##IDENT = (number),
+enum scpi_error { SCPI_NO_ERROR, SCPI_ERRORS(SCPI_ERROR) };
+#undef SCPI_ERROR
+
 /* Bits of `events`, and of the conditions. */
 enum {
   SCPI_EVENT_COMPLETE = 1,

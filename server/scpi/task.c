@@ -12,12 +12,12 @@ static struct job_context *context_of(const struct scpi_task *task) {
 static uint8_t *reserve_reply(void *owner, const struct job *job, wire_error *error) {
   struct scpi_task *task = owner;
   const uint64_t most = task->session->server->options.max_part_bytes;
-  http_text_reset(&task->reply);
+  text_reset(&task->reply);
   *error = wire_error_busy("max_total_bytes", "less data at a time: the buffers are full", 1000);
   char *room = NULL;
   if (job->part_bytes > most) {
     *error = wire_error_make(WIRE_STATUS_TOO_LARGE, "max_part_bytes", "fewer values at a time");
-  } else if ((room = http_text_room(&task->reply, (size_t)job->part_bytes)) != NULL) {
+  } else if ((room = text_room(&task->reply, (size_t)job->part_bytes)) != NULL) {
     task->reply.count = (size_t)job->part_bytes;
   }
   return (uint8_t *)room;
@@ -43,8 +43,8 @@ static const struct run_sink sink = {.reserve = reserve_reply, .wake = wake_task
 void scpi_task_init(struct scpi_task *task, struct scpi_session *session) {
   task->session = session;
   run_init(&task->run, &sink, task);
-  http_text_init(&task->payload, &session->server->buffers);
-  http_text_init(&task->reply, &session->server->buffers);
+  text_init(&task->payload, &session->server->buffers);
+  text_init(&task->reply, &session->server->buffers);
 }
 
 void scpi_task_start(struct scpi_task *task, enum wire_type type) {
@@ -71,6 +71,6 @@ void scpi_task_drop(struct scpi_task *task) {
   }
   run_drop(&task->run);
   task->state = SCPI_TASK_NONE;
-  http_text_reset(&task->payload);
-  http_text_reset(&task->reply);
+  text_reset(&task->payload);
+  text_reset(&task->reply);
 }

@@ -21,14 +21,14 @@ static const schema_message *choose(unsigned number) {
 
 /* Writes an error, and checks that it is JSON and names what is allowed. */
 static void check_error(const wire_error *error) {
-  struct http_text text;
-  http_text_init(&text, &fuzz_server.buffers);
+  struct text text;
+  text_init(&text, &fuzz_server.buffers);
   CHECK(error->allowed[0] != '\0' && error->field[0] != '\0');
   CHECK(http_reply_write_error(error, &text) >= 400);
   json_t *object = json_loadb(text.bytes, text.count, JSON_REJECT_DUPLICATES, NULL);
   CHECK(json_is_object(object));
   json_decref(object);
-  http_text_free(&text);
+  text_free(&text);
 }
 
 /* The first byte of an input says whether it is a query or a body, and the second which request. */
@@ -39,10 +39,10 @@ void fuzz_http(const uint8_t *data, size_t size) {
   const bool is_body = (data[0] & BODY) != 0;
   const schema_message *message = choose(data[1]);
   const uint64_t before = atomic_load(&fuzz_server.buffers.bytes);
-  struct http_text payload;
+  struct text payload;
   uint32_t deadline_ms;
   bool g_is_default;
-  http_text_init(&payload, &fuzz_server.buffers);
+  text_init(&payload, &fuzz_server.buffers);
   char *text = malloc(size);
   CHECK(text != NULL);
   memcpy(text, data + MESSAGES_AT, size - MESSAGES_AT);
@@ -59,7 +59,7 @@ void fuzz_http(const uint8_t *data, size_t size) {
   if (error.status != WIRE_STATUS_OK) {
     check_error(&error);
   }
-  http_text_free(&payload);
+  text_free(&payload);
   free(text);
   CHECK(atomic_load(&fuzz_server.buffers.bytes) == before);
 }

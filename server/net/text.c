@@ -1,0 +1,56 @@
+#include "server/net/text.h"
+
+#include <stdlib.h>
+
+enum { FIRST_BYTES = 4096, KEPT_BYTES = 16384 };
+
+void text_init(struct text *text, struct budget *budget) {
+  *text = (struct text){.budget = budget};
+}
+
+void text_reset(struct text *text) {
+  if (text->failed || text->capacity > KEPT_BYTES) {
+    text_free(text);
+  }
+  text->count = 0;
+  text->filled = false;
+}
+
+void text_free(struct text *text) {
+  free(text->bytes);
+  budget_return(text->budget, text->capacity);
+  *text = (struct text){.budget = text->budget};
+}
+
+void text_trim(struct text *text) {
+  char *bytes =
+      text->capacity > KEPT_BYTES && text->count > 0 ? realloc(text->bytes, text->count) : NULL;
+  if (bytes != NULL) {
+    budget_return(text->budget, text->capacity - text->count);
+    text->bytes = bytes;
+    text->capacity = text->count;
+  }
+}
+
+bool text_grow(struct text *text, size_t bytes) {
+  const size_t wanted = text->count + bytes;
+  size_t capacity = text->capacity > 0 ? text->capacity : FIRST_BYTES;
+  while (capacity < wanted) {
+    capacity *= 2;
+  }
+  if (capacity <= KEPT_BYTES) {
+    budget_take_base(text->budget, capacity - text->capacity);
+  } else if (!budget_take(text->budget, capacity - text->capacity)) {
+    text->failed = true;
+    return false;
+  }
+  char *grown = realloc(text->bytes, capacity);
+  if (grown == NULL) {
+    budget_return(text->budget, capacity - text->capacity);
+    text->failed = true;
+    return false;
+  }
+  text->bytes = grown;
+  text->capacity = capacity;
+  return true;
+}
