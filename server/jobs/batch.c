@@ -82,11 +82,11 @@ void batch_finish(struct batch *batch, struct stats *stats) {
 
 /* ---- finding repeated requests --------------------------------------------------------------- */
 
-/* Returns the bytes of an eval request of one medium before its radii. fixed: its fixed part, which
- * may state a wrong layer_count. */
-static size_t bytes_before_radii(const wire_eval_request *fixed) {
-  return WIRE_BYTES_eval_request + fixed->layer_count * (size_t)WIRE_BYTES_medium +
-         fixed->parameter_count * (size_t)WIRE_BYTES_parameter;
+/* Returns the bytes of an eval request before its radii. fixed: its fixed part, whose counts may be
+ * wrong: then the bytes are, too, but no request with such counts is remembered. */
+static uint64_t bytes_before_radii(const wire_eval_request *fixed) {
+  return WIRE_BYTES_eval_request + (uint64_t)fixed->parameter_count * WIRE_BYTES_parameter +
+         (uint64_t)fixed->medium_count * fixed->layer_count * WIRE_BYTES_medium;
 }
 
 /* Returns the size of an eval request up to its radii, or 0 if it is a request that repeat_learn()
@@ -97,9 +97,11 @@ static size_t start_bytes(const uint8_t *payload, size_t payload_bytes) {
   }
   wire_eval_request fixed;
   wire_get_eval_request(payload, &fixed);
-  const size_t bytes = bytes_before_radii(&fixed);
-  return fixed.medium_count == 1 && bytes <= REPEAT_REQUEST_BYTES && bytes <= payload_bytes ? bytes
-                                                                                            : 0;
+  const uint64_t bytes = bytes_before_radii(&fixed);
+  return fixed.medium_count <= REPEAT_CHANNELS && bytes <= REPEAT_REQUEST_BYTES &&
+                 bytes <= payload_bytes
+             ? (size_t)bytes
+             : 0;
 }
 
 /* Finds the entry with the same bytes up to the radii. Returns NULL if there is none. */
@@ -128,6 +130,15 @@ static bool radii_are_right(const struct repeat_entry *entry, const uint8_t *rad
          memcmp(radii + bytes, zeros, (size_t)wire_padded(bytes) - bytes) == 0;
 }
 
+static bool profiles_are_there(size_t channel_count, const struct profiles_place *places) {
+  for (size_t i = 0; i < channel_count; i++) {
+    if (profiles_at(places[i]) == NULL) {
+      return false;
+    }
+  }
+  return true;
+}
+
 static bool is_listed(const struct repeat_entry *entry) {
   return entry->payload_bytes > entry->request_bytes;
 }
@@ -140,7 +151,7 @@ const struct repeat_entry *repeat_find(struct repeat *repeat, const uint8_t *pay
   }
   const struct repeat_entry *entry = look_up(repeat, payload, bytes);
   return entry != NULL && entry->payload_bytes == payload_bytes &&
-                 profiles_at(entry->place) != NULL &&
+                 profiles_are_there(entry->channel_count, entry->places) &&
                  (!is_listed(entry) || radii_are_right(entry, payload + bytes, radii))
              ? entry
              : NULL;
@@ -164,35 +175,46 @@ static const void *radii_of(const struct repeat_entry *entry, const uint8_t *pay
 /* Writes the errors that hold for the listed radii of this request. A request for a grid needs none
  * of this: it has the radii of the entry, whose reply states their errors. */
 static void put_errors(const struct repeat_entry *entry, core_radii_range radii, uint8_t *at) {
-  const core_profile *profile = profiles_at(entry->place);
-  for (unsigned left = entry->wanted; left != 0; left &= left - 1) {
-    const core_stated_errors errors = core_profile_errors(profile, left & ~(left - 1), radii);
-    const wire_quantity_error error = {errors.numerical, errors.numerical_per_mm, (double)NAN};
-    wire_put_quantity_error(at, &error);
-    at += WIRE_BYTES_quantity_error;
+  for (size_t channel = 0; channel < entry->channel_count; channel++) {
+    const core_profile *profile = profiles_at(entry->places[channel]);
+    for (unsigned left = entry->wanted; left != 0; left &= left - 1) {
+      const core_stated_errors errors = core_profile_errors(profile, left & ~(left - 1), radii);
+      const wire_quantity_error error = {errors.numerical, errors.numerical_per_mm, (double)NAN};
+      wire_put_quantity_error(at, &error);
+      at += WIRE_BYTES_quantity_error;
+    }
   }
 }
 
-void repeat_reply(const struct repeat_entry *entry, struct batch *batch, struct stats *stats,
-                  const uint8_t *payload, core_radii_range range, double *radii, uint8_t *reply) {
+/* Adds the radii to the passes of a channel's quantities. Returns the end of the channel's arrays. */
+static uint8_t *take_channel(const struct repeat_entry *entry, struct profiles_place place,
+                             struct batch *batch, struct stats *stats, const void *r, uint8_t *to) {
   const size_t used = entry->count * entry->value_bytes;
-  const void *r = radii_of(entry, payload, radii);
-  memcpy(reply, entry->reply, entry->head_bytes);
-  if (is_listed(entry)) {
-    put_errors(entry, range, reply + eval_albedo_offset(1));
-  }
-  uint8_t *to = reply + entry->head_bytes;
   for (unsigned left = entry->wanted; left != 0; left &= left - 1) {
     const unsigned quantity = left & ~(left - 1);
     if (eval_is_array(entry->wanted, quantity)) {
-      const bool taken = batch_take(batch, stats, entry->place, quantity, entry->count, r, to);
+      const bool taken = batch_take(batch, stats, place, quantity, entry->count, r, to);
       assert(taken);
       memset(to + used, 0, entry->array_bytes - used);
       to += entry->array_bytes;
     }
   }
-  stats_add(stats, STATS_CACHE_HITS, 1);
-  stats_count_radii(stats, entry->model, entry->count);
+  return to;
+}
+
+void repeat_reply(const struct repeat_entry *entry, struct batch *batch, struct stats *stats,
+                  const uint8_t *payload, core_radii_range range, double *radii, uint8_t *reply) {
+  const void *r = radii_of(entry, payload, radii);
+  memcpy(reply, entry->reply, entry->head_bytes);
+  if (is_listed(entry)) {
+    put_errors(entry, range, reply + eval_albedo_offset((uint32_t)entry->channel_count));
+  }
+  uint8_t *to = reply + entry->head_bytes;
+  for (size_t channel = 0; channel < entry->channel_count; channel++) {
+    to = take_channel(entry, entry->places[channel], batch, stats, r, to);
+    stats_add(stats, STATS_CACHE_HITS, 1);
+    stats_count_radii(stats, entry->model, entry->count);
+  }
 }
 
 /* ---- remembering requests -------------------------------------------------------------------- */
@@ -202,13 +224,14 @@ void repeat_reply(const struct repeat_entry *entry, struct batch *batch, struct 
  * RADIUS, S depends on angles, which the profiles in the table do not have, and model errors on the
  * profile of transport. */
 static bool can_repeat(const wire_eval_request *fixed, const eval_layout *layout,
-                       struct profiles_place place) {
-  return fixed->medium_count == 1 && fixed->radius_count > 0 &&
+                       const struct profiles_place *places) {
+  return fixed->medium_count <= REPEAT_CHANNELS && fixed->radius_count > 0 &&
          fixed->radius_count <= BATCH_SHORT_RADII && layout->arrays_per_channel > 0 &&
          (fixed->wanted & (CORE_QUANTITY_RADIUS | CORE_QUANTITY_S | CORE_QUANTITY_MODEL_ERROR |
                            CORE_QUANTITY_MODEL_ERRORS)) == 0 &&
          bytes_before_radii(fixed) <= REPEAT_REQUEST_BYTES &&
-         layout->arrays_offset <= REPEAT_REPLY_BYTES && profiles_at(place) != NULL;
+         layout->arrays_offset <= REPEAT_REPLY_BYTES &&
+         profiles_are_there(fixed->medium_count, places);
 }
 
 /* Returns the entry for a request: the one that already holds it, or else the one that is to be
@@ -226,13 +249,14 @@ static struct repeat_entry *make_room(struct repeat *repeat, const uint8_t *requ
 }
 
 void repeat_learn(struct repeat *repeat, const eval_request *request, const core_grid *grid,
-                  const eval_layout *layout, const uint8_t *reply, struct profiles_place place) {
+                  const eval_layout *layout, const uint8_t *reply,
+                  const struct profiles_place *places) {
   const wire_eval_request *fixed = &request->fixed;
-  if (!can_repeat(fixed, layout, place)) {
+  if (!can_repeat(fixed, layout, places)) {
     return;
   }
   const uint8_t *payload = (const uint8_t *)request->media - WIRE_BYTES_eval_request;
-  const size_t bytes = bytes_before_radii(fixed);
+  const size_t bytes = (size_t)bytes_before_radii(fixed);
   const size_t value_bytes = core_evaluator_bytes(fixed->evaluator);
   const size_t listed = request->radii != NULL ? (size_t)fixed->radius_count * value_bytes : 0;
   struct repeat_entry *entry = make_room(repeat, payload, bytes);
@@ -246,7 +270,8 @@ void repeat_learn(struct repeat *repeat, const eval_request *request, const core
   entry->model = fixed->model;
   entry->wanted = fixed->wanted;
   entry->grid = *grid;
-  entry->place = place;
+  entry->channel_count = fixed->medium_count;
+  memcpy(entry->places, places, fixed->medium_count * sizeof *places);
   memcpy(entry->request, payload, bytes);
   memcpy(entry->reply, reply, entry->head_bytes);
 }

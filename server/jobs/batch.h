@@ -66,8 +66,9 @@ void batch_finish(struct batch *batch, struct stats *stats);
 enum {
   REPEAT_SETS = 64,
   REPEAT_WAYS = 4,
-  REPEAT_REQUEST_BYTES = 256, /* the longest request that is remembered, without its radii */
-  REPEAT_REPLY_BYTES = 288,   /* of a reply with one channel, without its arrays, at most */
+  REPEAT_CHANNELS = 4,        /* the most channels of a request that is remembered */
+  REPEAT_REQUEST_BYTES = 448, /* the longest, without its radii */
+  REPEAT_REPLY_BYTES = 576,   /* the longest reply to it, without its arrays */
 };
 
 /* A request that has been served, and the start of its reply. */
@@ -83,7 +84,8 @@ struct repeat_entry {
   unsigned model;
   unsigned wanted;
   core_grid grid; /* the radii, if they are not listed */
-  struct profiles_place place;
+  size_t channel_count;
+  struct profiles_place places[REPEAT_CHANNELS];
   uint8_t request[REPEAT_REQUEST_BYTES];
   uint8_t reply[REPEAT_REPLY_BYTES];
 };
@@ -97,12 +99,13 @@ struct repeat {
 };
 
 /* Remembers a request whose reply is one complete part, unless it is too long or cannot be repeated
- * (see can_repeat() in batch.c). place: that of its profile. The caller has checked the request,
+ * (see can_repeat() in batch.c). places: those of its profiles, by channel. The caller has checked the request,
  * and the check holds for any radii, because the request names a model that covers all radii. */
 void repeat_learn(struct repeat *repeat, const eval_request *request, const core_grid *grid,
-                  const eval_layout *layout, const uint8_t *reply, struct profiles_place place);
+                  const eval_layout *layout, const uint8_t *reply,
+                  const struct profiles_place *places);
 
-/* Finds the remembered request that this one repeats. Returns NULL if there is none, if its profile
+/* Finds the remembered request that this one repeats. Returns NULL if there is none, if a profile
  * is gone, or if a radius is out of range; the caller then treats the request as a new one. If the
  * radii are listed, sets *radii to their range (core_radii_check_f64()). */
 const struct repeat_entry *repeat_find(struct repeat *repeat, const uint8_t *payload,

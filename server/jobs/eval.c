@@ -616,7 +616,7 @@ static void learn_request(const struct eval_job *eval) {
   if (!eval->drawn && eval->parts.part_count == 1 && eval->covers_all &&
       !choice_heeds_radii(&eval->choice, &eval->request)) {
     repeat_learn(&eval->job.context->repeat, &eval->request, &eval->grid, &eval->layout,
-                 eval->reply, eval->lookup.place);
+                 eval->reply, eval->places);
   }
 }
 
@@ -629,6 +629,9 @@ static void channel_step(struct eval_job *eval, size_t n) {
   }
   if (eval->layout.arrays_per_channel == 0 || advance_by(eval, n)) {
     pad_channel(eval);
+    if (eval->channel < REPEAT_CHANNELS) {
+      eval->places[eval->channel] = eval->lookup.place;
+    }
     eval->channel++;
     if (eval->channel == eval->request.fixed.medium_count) {
       put_notes(eval);

@@ -34,7 +34,8 @@ struct eval_job {
   bool radii_done;               /* whether the radii have been written or are not wanted */
   unsigned notes;                /* the notes of all channels so far */
   struct profiles_lookup lookup; /* for the channel's profile */
-  struct profiles_lookup ruler;  /* for that of transport, if the model error needs it */
+  struct profiles_place places[REPEAT_CHANNELS]; /* of the first channels' profiles */
+  struct profiles_lookup ruler; /* for that of transport, if the model error needs it */
 };
 
 /* The functions that follow are for offers.c. end() is that of struct job_kind. */

@@ -107,8 +107,8 @@ def pipelined(daemon, payloads: list[bytes], connections: int) -> list[tuple[int
 @pytest.fixture(scope="module")
 def alone():
     """Returns the answers that each request of the mix gets from a daemon that has nothing else to
-    do."""
-    one = Daemon("--workers", "1")
+    do, and that remembers nothing."""
+    one = Daemon("--workers", "1", "--cache-bytes", "0")
     payloads = mixed_payloads(SEED)
     with one.connect() as connection:
         replies = [ask(connection, EVAL, payload) for payload in payloads]
