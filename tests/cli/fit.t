@@ -103,20 +103,19 @@ by g: the largest change for g +- .05, since the readings may not determine g
 ! dipole fit: standard input: 1 of 1 samples were not fitted: see the column status
 ? 3
 
-## Layers: what is found, what is undetermined, and what is refused.
-$ printf 'sample,r,R,error\ntwo,.3,.06261,.00062\ntwo,.5,.02737,.00028\ntwo,.8,.01292,.00013\ntwo,2,.002481,2.5e-5\ntwo,5,.000252,2.5e-6\nfew,1,.02,.001\nzero,1,.02,.001\nzero,2,.02,0\n' > two.csv; dipole fit two.csv --layer x,1,0,1.4,0.8 --layer .02,1,0,1.4
+## Layers: what is found, and what is refused.
+$ printf 'sample,r,R,error\ntwo,.3,.06261,.00062\ntwo,.5,.02737,.00028\ntwo,.8,.01292,.00013\ntwo,2,.002481,2.5e-5\ntwo,5,.000252,2.5e-6\nzero,1,.02,.001\nzero,2,.02,0\n' > two.csv; dipole fit two.csv --layer x,1,0,1.4,0.8 --layer .02,1,0,1.4
 model transport, moments exact, scale absolute
 
-sample  unknown       value     error        status    chi2  readings  numerical error     sample is
+sample  unknown       value     error   status   chi2  readings  numerical error  sample is
                    1/mm, mm  1/mm, mm
-------  ---------  --------  --------  ------------  ------  --------  ---------------  ------------
-two     sigma_a_1   0.29992    0.0017        fitted   1.454         5          2.0e-03        fitted
-few     sigma_a_1         -       inf  undetermined  0.2066         1          1.1e-03  undetermined
-zero    sigma_a_1         -       inf       refused       -         2                -       refused
+------  ---------  --------  --------  -------  -----  --------  ---------------  ---------
+two     sigma_a_1   0.29992    0.0017   fitted  1.454         5          2.0e-03     fitted
+zero    sigma_a_1         -       inf  refused      -         2                -    refused
 
 errors are standard errors, inf where a value is not fitted; chi2 is the sum of the squares of (reading - fit) / error
-! dipole fit: sample zero: reading 2 (line 9): bad-value: errors: allowed: above 0, and finite
-! dipole fit: two.csv: 2 of 3 samples were not fitted: see the column status
+! dipole fit: sample zero: reading 2 (line 8): bad-value: errors: allowed: above 0, and finite
+! dipole fit: two.csv: 1 of 2 samples were not fitted: see the column status
 ? 3
 
 $ printf 'r,R,error\n2,.02,0\n' | dipole fit --layer x,1,0,1.4,0.8 --layer .02,1,0,1.4 --format csv

@@ -23,7 +23,7 @@ from dipole import wire
 from frames import EVAL, frame
 
 PROGRAM = BUILD / "dipole"
-TIMEOUT_S = 120.0
+TIMEOUT_S = 300.0
 
 OK, FAILED, USAGE, BAD_ROWS = 0, 1, 2, 3
 

@@ -19,7 +19,7 @@ from daemons import BUILD, REPOSITORY, environment
 
 FOLDER = REPOSITORY / "tests/cli"
 NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?")
-TIMEOUT_S = 120
+TIMEOUT_S = 300
 
 
 def run(command: str, folder: Path) -> list[str]:
