@@ -149,107 +149,73 @@ static inline uint64_t eight_digits(uint64_t number) {
   return tens | (pairs - 10 * tens) << 8;
 }
 
-/* 17 digits, as many as a shortest decimal has at most, the first of which is not 0. They stay in
- * registers until they have their places: a load that spans two stores would wait for both. */
+/* 17 digits, as many as a shortest decimal has at most, the first of which is not 0. */
 struct text {
-  uint64_t words[3]; /* the digits as characters, the first one in the lowest byte; zeros follow */
-  size_t count;      /* number of digits up to the last one that is not 0 */
-  int exponent;      /* power of ten of the first digit */
+  char digits[24]; /* zeros follow */
+  size_t count;    /* number of digits up to the last one that is not 0 */
+  int exponent;    /* power of ten of the first digit */
 };
 
 /* decimal: of a positive integer below 10^17 */
-static struct text make_text(struct digits decimal) {
+static inline struct text make_text(struct digits decimal) {
   static const uint64_t tens[] = {1e0, 1e1,  1e2,  1e3,  1e4,  1e5,  1e6,  1e7,  1e8,
                                   1e9, 1e10, 1e11, 1e12, 1e13, 1e14, 1e15, 1e16, 1e17};
   const uint64_t zeros = UINT64_C(0x3030303030303030);
   int digits = (64 - __builtin_clzll(decimal.integer)) * 1233 >> 12; /* log10(2) = 1233 / 2^12 */
   digits += decimal.integer >= tens[digits];
   const uint64_t integer = decimal.integer * tens[17 - digits];
-  const uint64_t top = integer / tens[16];
-  const uint64_t middle = eight_digits(integer / tens[8] % tens[8]);
-  const uint64_t low = eight_digits(integer % tens[8]);
-  const uint64_t first = top | middle << 8, second = middle >> 56 | low << 8, third = low >> 56;
-  const size_t in_first = sizeof first - (size_t)__builtin_clzll(first) / 8;
-  const size_t in_second = 2 * sizeof first - (size_t)__builtin_clzll(second | 1) / 8;
-  return (struct text){{first | zeros, second | zeros, third | zeros},
-                       third != 0    ? 17
-                       : second != 0 ? in_second
-                                     : in_first,
-                       decimal.exponent + digits - 1};
+  const uint64_t middle = eight_digits(integer / tens[8] % tens[8]) | zeros;
+  const uint64_t low = eight_digits(integer % tens[8]) | zeros;
+  struct text text = {.exponent = decimal.exponent + digits - 1};
+  text.digits[0] = (char)('0' + integer / tens[16]);
+  memcpy(text.digits + 1, &middle, sizeof middle);
+  memcpy(text.digits + 9, &low, sizeof low);
+  memcpy(text.digits + 17, &zeros, 7);
+  text.count = low != zeros      ? 17 - (size_t)__builtin_clzll(low ^ zeros) / 8
+               : middle != zeros ? 9 - (size_t)__builtin_clzll(middle ^ zeros) / 8
+                                 : 1;
+  return text;
 }
 
-/* Returns a word with a point in place of its character `at`, and the later ones one place up. */
-static uint64_t with_point(uint64_t word, unsigned at) {
-  const uint64_t point = (uint64_t)'.' << at % 8 * 8, before = (UINT64_C(1) << at % 8 * 8) - 1;
-  return (word & before) | point | (word & ~before) << 8;
+/* Writes the digits with a point behind the first `whole` of them, 1 to 16, if there are more.
+ * Returns the length. */
+static inline size_t put_digits(const struct text *from, size_t whole, char *text) {
+  memcpy(text + 1, from->digits, 17);
+  memmove(text, text + 1, whole);
+  text[whole] = from->count > whole ? '.' : '0';
+  return from->count > whole ? from->count + 1 : whole;
 }
 
-/* Puts a point behind this many digits, 1 to 16. */
-static void add_point(struct text *text, unsigned digits) {
-  const uint64_t first = text->words[0], second = text->words[1], third = text->words[2];
-  text->words[0] = digits < 8 ? with_point(first, digits) : first;
-  text->words[1] = digits < 8    ? second << 8 | first >> 56
-                   : digits < 16 ? with_point(second, digits)
-                                 : second;
-  text->words[2] = digits < 16 ? third << 8 | second >> 56 : with_point(third, digits);
-}
-
-/* Writes d.ddde-5. Returns its length. */
-static size_t write_scientific(struct text *from, char *text) {
-  const int exponent = from->exponent;
-  unsigned size = (unsigned)(exponent < 0 ? -exponent : exponent);
-  size_t length = from->count + (from->count > 1);
-  /* moves the digits one place up: the point takes the place of the first one */
-  memcpy(text + 1, from->words, sizeof from->words);
-  text[0] = (char)from->words[0];
-  text[1] = '.';
+/* Writes a positive and finite decimal: 0.00123, 123000, 12.3, or d.ddde-5. The plain form is taken
+ * unless it is longer. Returns its length; behind it are characters of no meaning. */
+static inline size_t write_decimal(struct digits decimal, char *text) {
+  const struct text made = make_text(decimal);
+  const int exponent = made.exponent, several = made.count > 1;
+  /* 0.00d and d.e-3 have the same length, as have 0.000dd and d.de-4. */
+  if (exponent < 0 && exponent >= -2 - several) {
+    memcpy(text, "0.0000", 6);
+    memcpy(text + 1 - exponent, made.digits, 17);
+    return made.count + 1 + (size_t)-exponent;
+  }
+  /* A point among the digits takes less than an exponent. Zeros behind them may take more. */
+  const int scientific = (int)made.count + several + (exponent < 10 ? 2 : 3);
+  if (exponent >= 0 &&
+      (exponent < (int)made.count - 1 || (exponent <= 15 && exponent + 1 <= scientific))) {
+    return put_digits(&made, (size_t)exponent + 1, text);
+  }
+  unsigned size = (unsigned)abs(exponent);
+  size_t length = put_digits(&made, 1, text);
   text[length++] = 'e';
   text[length] = '-';
   length += exponent < 0;
   if (size >= 100) {
     text[length++] = (char)('0' + size / 100);
-    size %= 100;
-    text[length++] = (char)('0' + size / 10);
-    size %= 10;
-  } else if (size >= 10) {
-    text[length++] = (char)('0' + size / 10);
-    size %= 10;
   }
-  text[length++] = (char)('0' + size);
+  if (size >= 10) {
+    text[length++] = (char)('0' + size / 10 % 10);
+  }
+  text[length++] = (char)('0' + size % 10);
   return length;
-}
-
-/* Writes 0.00123 of an exponent from -5 to -1. Returns its length. */
-static size_t write_small(const struct text *from, char *text) {
-  memcpy(text, "0.0000", 6);
-  memcpy(text + 1 - from->exponent, from->words, sizeof from->words);
-  return from->count + 1 + (size_t)-from->exponent;
-}
-
-/* Writes 123000 or 12.3 of an exponent from 0 to 15. Returns its length. */
-static size_t write_plain(struct text *from, char *text) {
-  const size_t whole = (size_t)from->exponent + 1; /* number of digits before the point */
-  const bool has_point = from->count > whole;
-  if (has_point) {
-    add_point(from, (unsigned)whole);
-  }
-  memcpy(text, from->words, sizeof from->words);
-  return has_point ? from->count + 1 : whole;
-}
-
-/* Writes a positive and finite decimal. The plain form is taken unless it is longer. Returns its
- * length; behind it are characters of no meaning. */
-static inline size_t write_decimal(struct digits decimal, char *text) {
-  struct text made = make_text(decimal);
-  const int exponent = made.exponent, several = made.count > 1;
-  if (exponent < 0) { /* 0.00d and d.e-3 have the same length, as have 0.000dd and d.de-4 */
-    return exponent >= -2 - several ? write_small(&made, text) : write_scientific(&made, text);
-  }
-  /* A point among the digits takes less than an exponent. Zeros behind them may take more. */
-  const int scientific = (int)made.count + several + (exponent < 10 ? 2 : 3);
-  return exponent < (int)made.count - 1 || (exponent <= 15 && exponent + 1 <= scientific)
-             ? write_plain(&made, text)
-             : write_scientific(&made, text);
 }
 
 /* Writes a NaN, an infinity or a zero. */

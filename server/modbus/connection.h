@@ -19,31 +19,22 @@ enum {
 };
 
 struct modbus_connection {
-  struct client client; /* first member: see client.h */
+  struct transport transport; /* first member: see transport.h */
   struct modbus_units *units;
-  int fd;
-  struct tls_session *tls; /* NULL: the bytes are plain */
-  unsigned roles;          /* roles of the master */
-  struct transport transport;
+  unsigned roles; /* roles of the master */
 
   struct modbus_unit *waits_for; /* the unit that evaluates the first frame; NULL: there is none */
-  bool stopping;                 /* whether the peer has closed, or the daemon stops */
-  unsigned unread; /* bytes that had arrived when the daemon began to stop: they are still read */
-  bool ending;     /* whether to serve no more frames, and to close after the last reply */
-  bool closing;    /* whether uv_close() has been called */
+  bool ending; /* whether to serve no more frames, and to close after the last reply */
 
-  uint64_t active_ms;        /* when bytes were last received or sent */
   uint64_t frame_started_ms; /* when the incomplete frame began to arrive; 0: there is none */
   unsigned begin;            /* start of the input that has not been served */
   unsigned end;
-  unsigned unsent_begin; /* start of the part of the reply that has not been written */
-  unsigned unsent_end;
   uint8_t input[MODBUS_INPUT_BYTES];
-  uint8_t unsent[MODBUS_FRAME_MAX];
+  uint8_t reply[MODBUS_FRAME_MAX]; /* which the transport sends from here */
 };
 
 /* Makes a connection of a connected, non-blocking socket, which the connection then owns, like the
- * session, which may be NULL. The caller gives `client` to the worker that has the
+ * session, which may be NULL. The caller gives its client to the worker that has the
  * units. Returns NULL if there is no memory; all that is still the caller's then. */
 struct modbus_connection *modbus_connection_new(struct modbus_units *units, int fd,
                                                 struct tls_session *session, unsigned roles);

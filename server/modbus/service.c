@@ -116,7 +116,7 @@ static void give_to_worker(struct server *server, int fd, struct tls_session *se
   }
   stats_add(&server->stats, STATS_MODBUS_CONNECTIONS_ACCEPTED, 1);
   stats_add(&server->stats, STATS_MODBUS_CONNECTIONS_OPEN, 1);
-  worker_give(&server->workers[0], &connection->client);
+  worker_give(&server->workers[0], &connection->transport.client);
 }
 
 void modbus_service_admit(struct server *server, int fd) {

@@ -16,34 +16,23 @@ enum {
   REST_MS = 1000,       /* the silence after which the connection releases its buffers */
   HANG_UP_MS = 1000,    /* how long preparations go on for a peer that has ended its side */
   REPORT_MS = 10000,    /* the silence after which a waiting client is told of the work */
-  LINGER_MS = 1000,     /* how long the peer may take to close after the last reply */
 };
 
 struct connection {
-  struct client client; /* first member: see client.h */
-  struct server *server;
-  int fd;
+  struct transport transport; /* first member: see transport.h */
   enum connection_purpose purpose;
-
-  struct tls_session *tls; /* NULL: plain bytes */
-  struct transport transport;
-
   struct input input;
   struct output output;
   struct requests requests;
 
   bool more_to_do;    /* whether frames or their work were left at the end of the last turn */
   bool detached_more; /* whether detached requests have work left */
-  bool stopping;      /* whether the daemon stops: the connection then ends after its last reply */
-  bool peer_done;     /* whether the peer has shut down its side, so that nothing more arrives */
-  bool closing;       /* whether uv_close() has been called */
 
-  uint64_t active_ms;        /* when bytes were last received or sent */
   uint64_t frame_started_ms; /* when the incomplete frame began to arrive; 0 if there is none */
-  uint64_t lingering_ms;
 };
 
 static const struct client_kind kind;
+static const struct transport_calls calls;
 
 static void write_more(struct connection *c);
 
@@ -55,7 +44,7 @@ static struct connection *connection_of(struct client *client) {
 
 static void on_wake(void *owner) {
   struct connection *c = owner;
-  worker_run_later(&c->client);
+  worker_run_later(&c->transport.client);
 }
 
 /* Returns whether the connection gets an error and is closed, and does not count as open. */
@@ -66,7 +55,7 @@ static bool is_refused(const struct connection *c) {
 static void log_end(void *owner, const wire_error *error) {
   const struct connection *c = owner;
   char peer[TCP_TEXT_BYTES];
-  tcp_peer(c->fd, peer);
+  tcp_peer(c->transport.fd, peer);
   log_peer_line(LOG_LEVEL_INFO, "event=%s status=%s%s%s%s%s%s%s",
                 is_refused(c) ? "connection-refused" : "connection-ended",
                 wire_status_name(error->status), LOG_FIELD(" field=", error->field),
@@ -86,27 +75,23 @@ struct client *connection_new(struct server *server, int fd, struct tls_session 
   if (c == NULL) {
     return NULL;
   }
-  c->client.kind = &kind;
-  c->server = server;
-  c->fd = fd;
-  c->tls = tls;
+  transport_init(&c->transport, &kind, &calls, server, fd, tls);
   c->purpose = purpose;
   input_init(&c->input, server);
   output_init(&c->output, server);
   requests_init(&c->requests, &c->input, &c->output, on_wake, c);
   c->requests.tell_end = log_end;
   c->requests.roles = tls != NULL ? tls_session_roles(tls) : ROLE_ALL;
-  return &c->client;
+  return &c->transport.client;
 }
 
-/* Frees the connection, whose handle has been closed. */
-static void free_connection(struct connection *c) {
-  struct server *server = c->server;
+static void free_connection(struct transport *t) {
+  struct connection *c = (struct connection *)(void *)t;
+  struct server *server = t->server;
   const enum connection_purpose purpose = c->purpose;
   const bool was_open = !is_refused(c);
   input_free(&c->input);
   output_free(&c->output);
-  worker_forget(&c->client);
   free(c);
   if (was_open) {
     stats_subtract(&server->stats, STATS_CONNECTIONS_OPEN, 1);
@@ -116,43 +101,24 @@ static void free_connection(struct connection *c) {
   }
 }
 
-static void on_closed(void *owner) {
-  free_connection(owner);
-}
-
-static void abort_connection(struct connection *c);
-
-static void on_failed(void *owner) {
-  abort_connection(owner);
-}
-
-static uint64_t now_ms(const struct connection *c) {
-  return uv_now(c->transport.uv.handle.loop);
-}
-
-/* Closes the connection at once, with all its jobs. */
-static void abort_connection(struct connection *c) {
-  if (!c->closing) {
-    c->closing = true;
-    transport_close(&c->transport);
-    requests_drop(&c->requests); /* no job may call the connection from here on */
-  }
+/* No job may call the connection from here on. */
+static void drop_requests(struct transport *t) {
+  requests_drop(&((struct connection *)(void *)t)->requests);
 }
 
 /* Ends the connection so that the peer can read all replies. */
 static void linger(struct connection *c) {
-  if (c->peer_done) {
-    abort_connection(c);
+  if (c->transport.peer_done) {
+    transport_abort(&c->transport);
   } else {
-    c->lingering_ms = now_ms(c);
     transport_linger(&c->transport);
   }
 }
 
 /* ---- reading --------------------------------------------------------------------------------- */
 
-static size_t find_room(void *owner, uint8_t **room) {
-  struct connection *c = owner;
+static size_t find_room(struct transport *t, uint8_t **room) {
+  struct connection *c = (struct connection *)(void *)t;
   return requests_hold_input(&c->requests) ? input_room_behind(&c->input, room)
                                            : input_room(&c->input, room);
 }
@@ -163,9 +129,9 @@ static void refuse_for_memory(struct connection *c) {
   const wire_error error =
       wire_error_busy("payload_bytes", "less data at a time: max_total_bytes are in use", 1000);
   if (!input_refuse(&c->input, &header)) {
-    abort_connection(c);
+    transport_abort(&c->transport);
   } else if (!requests_refuse(&c->requests, header.request_id, &error)) {
-    abort_connection(c);
+    transport_abort(&c->transport);
   }
 }
 
@@ -173,11 +139,12 @@ static void refuse_for_memory(struct connection *c) {
  * arrival times of the next requests are known, and their deadlines count from then. */
 static void read_behind(struct connection *c) {
   uint8_t *room = NULL;
-  transport_set_reading(&c->transport, !c->peer_done && input_room_behind(&c->input, &room) > 0);
+  transport_set_reading(&c->transport,
+                        !c->transport.peer_done && input_room_behind(&c->input, &room) > 0);
 }
 
 static bool is_ready(const struct connection *c, short events, short ready) {
-  struct pollfd peer = {.fd = c->fd, .events = events};
+  struct pollfd peer = {.fd = c->transport.fd, .events = events};
   return poll(&peer, 1, 0) > 0 && (peer.revents & ready) != 0;
 }
 
@@ -191,54 +158,44 @@ static bool has_hung_up(const struct connection *c) {
 static bool is_gone(const struct connection *c, uint64_t now_ms) {
   int domain = AF_UNIX;
   socklen_t bytes = sizeof domain;
-  getsockopt(c->fd, SOL_SOCKET, SO_DOMAIN, &domain, &bytes);
-  return domain == AF_UNIX ? has_hung_up(c) : now_ms - c->active_ms > HANG_UP_MS;
+  getsockopt(c->transport.fd, SOL_SOCKET, SO_DOMAIN, &domain, &bytes);
+  return domain == AF_UNIX ? has_hung_up(c) : now_ms - c->transport.active_ms > HANG_UP_MS;
 }
 
 /* Takes the bytes that have been read; the connection serves their requests in the same round of
  * the loop. It stops reading only if work is left after that, so that a client that waits for each
  * reply costs no calls to stop and start reading. */
-static void on_received(void *owner, ssize_t bytes) {
-  struct connection *c = owner;
+static void on_received(struct transport *t, ssize_t bytes) {
+  struct connection *c = (struct connection *)(void *)t;
   if (bytes > 0) {
-    stats_add(&c->server->stats, STATS_RECEIVED_BYTES, (uint64_t)bytes);
-    c->active_ms = now_ms(c);
-    input_arrived(&c->input, (size_t)bytes, worker_round_ns(c->client.worker));
+    input_arrived(&c->input, (size_t)bytes, worker_round_ns(c->transport.client.worker));
     if (requests_hold_input(&c->requests)) {
       read_behind(c);
       return; /* The job will wake the connection. */
     }
   } else {
-    transport_set_reading(&c->transport, false);
     if (bytes == UV_ENOBUFS && requests_hold_input(&c->requests)) {
       return; /* The next turn of the job reads on. */
     }
     if (bytes == UV_ENOBUFS) {
       refuse_for_memory(c);
     } else if (!has_hung_up(c)) {
-      c->peer_done = true;
-      c->active_ms = now_ms(c);
+      t->active_ms = transport_now_ms(&c->transport);
     } else {
-      abort_connection(c);
+      transport_abort(&c->transport);
     }
   }
-  if (!c->closing) {
-    worker_run_later(&c->client);
+  if (!c->transport.closing) {
+    worker_run_later(&c->transport.client);
   }
 }
 
 /* ---- writing --------------------------------------------------------------------------------- */
 
-static void wrote(struct connection *c, uint64_t bytes) {
+static void on_sent(struct transport *t, uint64_t bytes) {
+  struct connection *c = (struct connection *)(void *)t;
   output_consume(&c->output, bytes);
-  stats_add(&c->server->stats, STATS_SENT_BYTES, bytes);
-  c->active_ms = now_ms(c);
-}
-
-static void on_sent(void *owner, uint64_t bytes) {
-  struct connection *c = owner;
-  wrote(c, bytes);
-  worker_run_later(&c->client); /* the next turn writes more */
+  worker_run_later(&t->client); /* the next turn writes more */
 }
 
 /* Cuts the buffers off after this many bytes. Returns how many buffers are left. */
@@ -256,15 +213,13 @@ static unsigned cut_off(uv_buf_t *buffers, unsigned count, size_t bytes) {
  * nothing, the transport tells when it does. */
 static void write_more(struct connection *c) {
   size_t left = WRITE_BYTES;
-  while (!c->closing && !c->transport.writing && c->output.ready_bytes > 0 && left > 0) {
+  while (!c->transport.closing && !c->transport.writing && c->output.ready_bytes > 0 && left > 0) {
     uv_buf_t buffers[WRITE_BUFFERS];
     const unsigned count =
         cut_off(buffers, (unsigned)output_buffers(&c->output, buffers, WRITE_BUFFERS), left);
     const uint64_t written = transport_write(&c->transport, buffers, count);
-    if (written > 0) {
-      wrote(c, written);
-      left -= written;
-    }
+    output_consume(&c->output, written);
+    left -= written;
   }
 }
 
@@ -276,15 +231,16 @@ static void note_partial_frame(struct connection *c) {
   if (!input_partial(&c->input) || output_is_full(&c->output)) {
     c->frame_started_ms = 0;
   } else if (c->frame_started_ms == 0) {
-    c->frame_started_ms = now_ms(c);
+    c->frame_started_ms = transport_now_ms(&c->transport);
   }
 }
 
 /* If the peer is done or the daemon stops, makes Monte Carlo end with its results so far: nobody can
  * cancel it any more. Returns whether last replies of detached requests are still to come. */
 static bool awaits_detached(struct connection *c) {
-  return (c->peer_done || c->stopping) &&
-         requests_stop_detached(&c->requests, c->peer_done ? JOB_CANCELLED : JOB_DAEMON_STOPS);
+  return (c->transport.peer_done || c->transport.stopping) &&
+         requests_stop_detached(&c->requests,
+                                c->transport.peer_done ? JOB_CANCELLED : JOB_DAEMON_STOPS);
 }
 
 static wire_error stopping_error(void) {
@@ -298,14 +254,14 @@ static void end_if_done(struct connection *c) {
   if (c->requests.ended || output_is_full(&c->output) || awaits_detached(c)) {
     return;
   }
-  if (c->peer_done && input_partial(&c->input)) {
+  if (c->transport.peer_done && input_partial(&c->input)) {
     requests_end(&c->requests, input_partial_id(&c->input),
                  wire_error_make(WIRE_STATUS_TRUNCATED, "payload_bytes",
                                  "as many bytes as the header announces"));
-  } else if (c->stopping && !c->peer_done) {
+  } else if (c->transport.stopping && !c->transport.peer_done) {
     requests_end(&c->requests, 0, stopping_error());
   }
-  c->requests.ended |= c->peer_done;
+  c->requests.ended |= c->transport.peer_done;
   write_more(c);
 }
 
@@ -316,7 +272,7 @@ static void read_on_or_end(struct connection *c) {
     return;
   }
   end_if_done(c);
-  if (c->closing || c->transport.lingering) {
+  if (c->transport.closing || c->transport.lingering) {
     return;
   }
   if (c->requests.ended) {
@@ -334,14 +290,14 @@ static void read_on_or_end(struct connection *c) {
   transport_set_reading(
       &c->transport,
       !output_is_full(&c->output) &&
-          !c->peer_done); /* Without this it would read the end of the stream again. */
+          !c->transport.peer_done); /* Without this it would read the end of the stream again. */
 }
 
 /* Makes the worker wake the connection at the deadline of a request that waits. */
 static void watch_deadline(struct connection *c) {
   const uint64_t deadline_ms = requests_deadline_ms(&c->requests);
   if (deadline_ms != 0) {
-    worker_wake_at(c->client.worker, deadline_ms);
+    worker_wake_at(c->transport.client.worker, deadline_ms);
   }
 }
 
@@ -352,9 +308,11 @@ static void run_turn(struct client *client) {
   uint64_t budget = TURN_RADII - share;
   /* A turn takes at most max_in_flight requests, the current one among them. */
   const uint64_t before = r->taken;
-  const uint64_t most = before + c->server->options.max_in_flight - (r->run.state != RUN_IDLE);
+  const uint64_t most =
+      before + c->transport.server->options.max_in_flight - (r->run.state != RUN_IDLE);
   bool more = true;
-  while (more && budget > 0 && !c->closing && (r->run.state != RUN_IDLE || r->taken < most)) {
+  while (more && budget > 0 && !c->transport.closing &&
+         (r->run.state != RUN_IDLE || r->taken < most)) {
     more = requests_step(r, &budget);
   }
   if (r->taken > before) {
@@ -363,9 +321,9 @@ static void run_turn(struct client *client) {
   budget += share;
   c->detached_more = requests_step_detached(r, &budget);
   if (r->no_room) {
-    abort_connection(c);
+    transport_abort(&c->transport);
   }
-  if (!c->closing) {
+  if (!c->transport.closing) {
     watch_deadline(c);
   }
   c->more_to_do = more;
@@ -375,10 +333,10 @@ static void finish_turn(struct client *client) {
   struct connection *c = connection_of(client);
   /* Frames wait while the output is full. If writing makes room, the connection continues. */
   const bool was_blocked = output_is_full(&c->output);
-  if (!c->closing) {
+  if (!c->transport.closing) {
     write_more(c);
   }
-  if (c->closing) {
+  if (c->transport.closing) {
     return;
   }
   if (c->more_to_do || (was_blocked && !output_is_full(&c->output))) {
@@ -387,14 +345,14 @@ static void finish_turn(struct client *client) {
     } else {
       transport_set_reading(&c->transport, false);
     }
-    worker_run_later(&c->client);
+    worker_run_later(&c->transport.client);
   } else {
     read_on_or_end(c);
   }
   /* WRITE_BYTES may have been written, and there is more. */
   const bool writes_more = !c->transport.writing && c->output.ready_bytes > 0;
-  if (!c->closing && (c->detached_more || writes_more)) {
-    worker_run_later(&c->client);
+  if (!c->transport.closing && (c->detached_more || writes_more)) {
+    worker_run_later(&c->transport.client);
   }
 }
 
@@ -402,32 +360,21 @@ static void finish_turn(struct client *client) {
 
 static void start_client(struct client *client) {
   struct connection *c = connection_of(client);
-  uv_loop_t *loop = worker_loop(client->worker);
   c->requests.context = worker_context(client->worker);
   c->requests.profiles = &client->profiles;
-  c->active_ms = uv_now(loop);
-  static const struct transport_calls calls = {.room = find_room,
-                                               .received = on_received,
-                                               .sent = on_sent,
-                                               .failed = on_failed,
-                                               .closed = on_closed};
-  const int opened = transport_open(&c->transport, loop, c->fd, c->tls, &calls, c);
-  if (opened != 0) {
-    log_line(LOG_LEVEL_ERROR, "event=connection-failed reason=%s", uv_strerror(opened));
-    abort_connection(c);
-    return;
+  if (transport_open(&c->transport)) {
+    if (is_refused(c)) {
+      requests_end(&c->requests, 0, connection_refusal(c->purpose));
+    }
+    worker_run_later(client);
   }
-  if (is_refused(c)) {
-    requests_end(&c->requests, 0, connection_refusal(c->purpose));
-  }
-  worker_run_later(&c->client);
 }
 
 static void stop_client(struct client *client) {
   struct connection *c = connection_of(client);
-  c->stopping = true;
-  if (!c->closing) {
-    worker_run_later(&c->client);
+  c->transport.stopping = true;
+  if (!c->transport.closing) {
+    worker_run_later(client);
   }
 }
 
@@ -447,60 +394,53 @@ static void report_work(struct connection *c) {
   wire_put_header(frame, &header);
   uv_buf_t buffer = uv_buf_init((char *)frame, sizeof frame);
   if (transport_write(&c->transport, &buffer, 1) != sizeof frame) {
-    abort_connection(c); /* the rest has no place in the output */
-    return;
+    transport_abort(&c->transport); /* the rest has no place in the output */
   }
-  stats_add(&c->server->stats, STATS_SENT_BYTES, sizeof frame);
-  c->active_ms = now_ms(c);
 }
 
 static void check_time(struct client *client, uint64_t now_ms) {
   struct connection *c = connection_of(client);
-  const struct options *options = &c->server->options;
-  if (c->closing) {
-    return;
-  }
-  if (c->transport.lingering) {
-    if (now_ms - c->lingering_ms > LINGER_MS) {
-      abort_connection(c);
-    }
+  const struct options *options = &c->transport.server->options;
+  if (transport_is_over(&c->transport, now_ms)) {
     return;
   }
   requests_trim(&c->requests, now_ms);
   const wire_error gone =
       wire_error_make(WIRE_STATUS_CANCELLED, "connection", "one whose client may still send");
-  if (c->peer_done && is_gone(c, now_ms) && requests_give_up(&c->requests, &gone, false)) {
-    worker_run_later(&c->client);
+  if (c->transport.peer_done && is_gone(c, now_ms) &&
+      requests_give_up(&c->requests, &gone, false)) {
+    worker_run_later(&c->transport.client);
   }
   if (!requests_hold_input(&c->requests)) {
     input_trim(&c->input, now_ms);
   }
   output_trim(&c->output);
   if (c->requests.ended || c->output.ready_bytes > 0) {
-    if (now_ms - c->active_ms > options->idle_timeout_ms) {
-      abort_connection(c);
+    if (now_ms - c->transport.active_ms > options->idle_timeout_ms) {
+      transport_abort(&c->transport);
     }
     return;
   }
-  if (now_ms - c->active_ms > REPORT_MS) {
+  if (now_ms - c->transport.active_ms > REPORT_MS) {
     report_work(c);
   }
-  if (c->closing || requests_hold_input(&c->requests) || c->client.run_queue != NULL) {
+  if (c->transport.closing || requests_hold_input(&c->requests) ||
+      c->transport.client.run_queue != NULL) {
     return;
   }
   if (c->frame_started_ms != 0 && now_ms - c->frame_started_ms > options->frame_timeout_ms) {
     requests_end(&c->requests, 0,
                  wire_error_make(WIRE_STATUS_TIMEOUT, "payload_bytes",
                                  "a whole frame within frame_timeout_ms"));
-    worker_run_later(&c->client);
+    worker_run_later(&c->transport.client);
   } else if (c->requests.detached_count > 0) { /* a reply may have room now */
-    worker_run_later(&c->client);
-  } else if (now_ms - c->active_ms > options->idle_timeout_ms) {
+    worker_run_later(&c->transport.client);
+  } else if (now_ms - c->transport.active_ms > options->idle_timeout_ms) {
     requests_end(
         &c->requests, 0,
         wire_error_make(WIRE_STATUS_TIMEOUT, "idle_timeout_ms", "no longer silence than this"));
-    worker_run_later(&c->client);
-  } else if (now_ms - c->active_ms > REST_MS) {
+    worker_run_later(&c->transport.client);
+  } else if (now_ms - c->transport.active_ms > REST_MS) {
     input_release(&c->input);
     output_release(&c->output);
   }
@@ -508,7 +448,7 @@ static void check_time(struct client *client, uint64_t now_ms) {
 
 static void check_deadlines(struct client *client) {
   struct connection *c = connection_of(client);
-  if (c->closing) {
+  if (c->transport.closing) {
     return;
   }
   if (requests_expire(&c->requests)) {
@@ -521,20 +461,27 @@ static void check_deadlines(struct client *client) {
 /* Refuses what is still under way, as far as the peer reads, so that it requests that elsewhere. */
 static void abort_client(struct client *client) {
   struct connection *c = connection_of(client);
-  if (!c->closing) {
+  if (!c->transport.closing) {
     const wire_error error = stopping_error();
     uint64_t budget = 0;
     requests_give_up(&c->requests, &error, true);
     requests_step_detached(&c->requests, &budget); /* writes the refusals */
     end_if_done(c);
   }
-  abort_connection(c);
+  transport_abort(&c->transport);
 }
 
 static bool is_busy(const struct client *client) {
   const struct connection *c = (const struct connection *)(const void *)client;
-  return !c->closing && (c->output.ready_bytes > 0 || requests_wait(&c->requests));
+  return !c->transport.closing && (c->output.ready_bytes > 0 || requests_wait(&c->requests));
 }
+
+static const struct transport_calls calls = {.name = "",
+                                             .room = find_room,
+                                             .received = on_received,
+                                             .sent = on_sent,
+                                             .dropped = drop_requests,
+                                             .closed = free_connection};
 
 static const struct client_kind kind = {
     .start = start_client,

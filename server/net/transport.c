@@ -1,13 +1,21 @@
 #include "server/net/transport.h"
 
+#include <sys/ioctl.h>
 #include <sys/socket.h>
 #include <unistd.h>
+
+#include "server/net/tcp.h"
+#include "server/net/worker.h"
+#include "server/observe/log.h"
 
 enum {
   TLS_READ_BYTES = 524288, /* at most in one call of the poll: some 200 microseconds */
   TLS_RECORD_BYTES = 2048, /* what a read takes beside its bytes, as small as a record may be */
   DROPPED_BYTES = 4096,    /* at a time, of a peer that has the last reply */
+  LINGER_MS = 1000,        /* how long the peer may take to close after the last reply */
 };
+
+/* ---- the end --------------------------------------------------------------------------------- */
 
 static void close_and_tell(uv_handle_t *handle) {
   struct transport *t = handle->data;
@@ -16,34 +24,83 @@ static void close_and_tell(uv_handle_t *handle) {
     t->tls = NULL;
     close(t->fd); /* libuv closes the sockets of its own streams */
   }
-  t->calls->closed(t->owner);
+  worker_forget(&t->client);
+  t->calls->closed(t);
 }
 
-void transport_close(struct transport *t) {
-  uv_close(&t->uv.handle, close_and_tell);
+void transport_abort(struct transport *t) {
+  if (!t->closing) {
+    t->closing = true;
+    t->calls->dropped(t);
+    uv_close(&t->uv.handle, close_and_tell);
+  }
+}
+
+void transport_log_end(const struct transport *t, const char *reason) {
+  char peer[TCP_TEXT_BYTES];
+  tcp_peer(t->fd, peer);
+  log_peer_line(LOG_LEVEL_INFO, "event=%sclosed reason=%s%s%s", t->calls->name, reason,
+                LOG_FIELD(" peer=", peer));
 }
 
 /* ---- what the owner is told ------------------------------------------------------------------ */
 
 static bool fail_transport(struct transport *t) {
-  if (!uv_is_closing(&t->uv.handle)) {
-    t->calls->failed(t->owner);
-  }
+  transport_abort(t);
   return false;
 }
 
 static inline void tell_received(struct transport *t, ssize_t bytes) {
   if (bytes < 0 && bytes != UV_ENOBUFS && (bytes != UV_EOF || t->lingering)) {
     fail_transport(t);
-  } else if (!t->lingering && !uv_is_closing(&t->uv.handle)) {
-    t->calls->received(t->owner, bytes);
+  }
+  if (t->lingering || t->closing) {
+    return;
+  }
+  if (bytes > 0) {
+    stats_add(&t->server->stats, STATS_RECEIVED_BYTES, (uint64_t)bytes);
+    t->active_ms = transport_now_ms(t);
+    if (t->tls == NULL) {
+      t->unread -= (size_t)bytes < t->unread ? (unsigned)bytes : t->unread;
+    }
+  } else if (bytes < 0) {
+    transport_set_reading(t, false);
+    t->peer_done |= bytes == UV_EOF;
+  }
+  t->unread = bytes == 0 || t->peer_done ? 0 : t->unread;
+  t->calls->received(t, bytes);
+}
+
+static void note_sent(struct transport *t, uint64_t bytes) {
+  stats_add(&t->server->stats, STATS_SENT_BYTES, bytes);
+  t->active_ms = transport_now_ms(t);
+}
+
+/* Writes as much of what transport_send() was given as the socket takes. */
+static void write_unsent(struct transport *t) {
+  while (t->unsent.len > 0 && !t->writing && !t->closing) {
+    const uint64_t written = transport_write(t, &t->unsent, 1);
+    t->unsent.base += written;
+    t->unsent.len -= written;
+  }
+}
+
+static void tell_sent(struct transport *t, uint64_t bytes) {
+  note_sent(t, bytes);
+  if (t->unsent.len > 0) {
+    t->unsent.base += bytes;
+    t->unsent.len -= bytes;
+    write_unsent(t);
+    worker_run_later(&t->client);
+  } else {
+    t->calls->sent(t, bytes);
   }
 }
 
 static size_t find_room(struct transport *t, uint8_t **room) {
   static _Thread_local uint8_t dropped[DROPPED_BYTES];
   *room = dropped;
-  return t->lingering ? sizeof dropped : t->calls->room(t->owner, room);
+  return t->lingering ? sizeof dropped : t->calls->room(t, room);
 }
 
 /* ---- plain sockets --------------------------------------------------------------------------- */
@@ -72,7 +129,7 @@ static void on_written(uv_write_t *request, int status) {
   if (status != 0) {
     fail_transport(t);
   } else {
-    t->calls->sent(t->owner, bytes);
+    tell_sent(t, bytes);
   }
 }
 
@@ -119,7 +176,7 @@ static int open_plain(struct transport *t, uv_loop_t *loop) {
 static void on_poll(uv_poll_t *poll, int status, int events);
 
 static bool poll_for(struct transport *t, int events) {
-  if (events == t->events || uv_is_closing(&t->uv.handle)) {
+  if (events == t->events || t->closing) {
     return true;
   }
   t->events = events;
@@ -146,7 +203,7 @@ static bool set_events(struct transport *t) {
 static void read_tls(struct transport *t) {
   size_t left = TLS_READ_BYTES;
   t->has_more = true;
-  while (t->reading && left > TLS_RECORD_BYTES && !uv_is_closing(&t->uv.handle)) {
+  while (t->reading && left > TLS_RECORD_BYTES && !t->closing) {
     left -= TLS_RECORD_BYTES;
     uint8_t *room = NULL;
     const size_t bytes = find_room(t, &room);
@@ -178,7 +235,7 @@ static void on_poll(uv_poll_t *poll, int status, int events) {
   }
   if (t->writing && (events & UV_WRITABLE) != 0) {
     t->writing = false;
-    t->calls->sent(t->owner, 0);
+    tell_sent(t, 0);
   }
   if ((events & UV_READABLE) != 0 || t->has_more) {
     read_tls(t);
@@ -205,25 +262,37 @@ static bool write_tls(struct transport *t, const uv_buf_t *buffers, unsigned cou
 
 /* ---- TCP or TLS ------------------------------------------------------------------------------ */
 
-int transport_open(struct transport *t, uv_loop_t *loop, int fd, struct tls_session *session,
-                   const struct transport_calls *calls, void *owner) {
+void transport_init(struct transport *t, const struct client_kind *kind,
+                    const struct transport_calls *calls, struct server *server, int fd,
+                    struct tls_session *session) {
+  t->client.kind = kind;
   t->calls = calls;
-  t->owner = owner;
+  t->server = server;
   t->fd = fd;
   t->tls = session;
   t->has_more = session != NULL; /* The handshake may have received the first request. */
-  const int opened = session != NULL ? uv_poll_init(loop, &t->uv.poll, fd) : open_plain(t, loop);
-  if (opened != 0 && session != NULL) {
+}
+
+bool transport_open(struct transport *t) {
+  uv_loop_t *loop = worker_loop(t->client.worker);
+  const int opened = t->tls != NULL ? uv_poll_init(loop, &t->uv.poll, t->fd) : open_plain(t, loop);
+  if (opened != 0 && t->tls != NULL) {
     uv_tcp_init(loop, &t->uv.tcp); /* makes a handle that can be closed */
   } else if (opened != 0) {
-    close(fd);
+    close(t->fd);
   }
   t->uv.handle.data = t;
-  return opened;
+  t->active_ms = transport_now_ms(t);
+  if (opened != 0) {
+    log_line(LOG_LEVEL_ERROR, "event=%sconnection-failed reason=%s", t->calls->name,
+             uv_strerror(opened));
+    transport_abort(t);
+  }
+  return opened == 0;
 }
 
 void transport_set_reading(struct transport *t, bool wanted) {
-  if (t->reading == wanted || uv_is_closing(&t->uv.handle)) {
+  if (t->reading == wanted || t->closing) {
     return;
   }
   t->reading = wanted;
@@ -240,18 +309,43 @@ uint64_t transport_write(struct transport *t, const uv_buf_t *buffers, unsigned 
   uint64_t written = 0;
   const bool good = t->tls != NULL ? write_tls(t, buffers, count, &written)
                                    : write_plain(t, buffers, count, &written);
-  return good || fail_transport(t) ? written : 0;
+  if (!good) {
+    fail_transport(t);
+    return 0;
+  }
+  if (written > 0) {
+    note_sent(t, written);
+  }
+  return written;
 }
 
-void transport_tell_empty(struct transport *t) {
-  t->has_more = t->tells_empty = t->tls != NULL;
-  if (t->tls != NULL && !set_events(t)) {
-    fail_transport(t);
+void transport_send(struct transport *t, void *bytes, size_t count) {
+  t->unsent = (uv_buf_t){.base = bytes, .len = count};
+  write_unsent(t);
+}
+
+void transport_drain(struct client *client) {
+  struct transport *t = transport_of(client);
+  int unread = 1; /* with TLS it stays 1 until read_tls() finds that nothing is unread */
+  if (t->closing) {
+    return;
+  }
+  if (!t->lingering && !t->peer_done && (t->tls != NULL || ioctl(t->fd, FIONREAD, &unread) == 0)) {
+    t->unread = (unsigned)unread;
+  }
+  t->stopping = true;
+  worker_run_later(client);
+  if (t->unread > 0 && t->tls != NULL) {
+    t->has_more = t->tells_empty = true;
+    if (!set_events(t)) {
+      fail_transport(t);
+    }
   }
 }
 
 void transport_linger(struct transport *t) {
   bool good;
+  t->active_ms = transport_now_ms(t);
   if (t->tls != NULL) {
     tls_session_end(t->tls);
     good = shutdown(t->fd, SHUT_WR) == 0;
@@ -264,4 +358,11 @@ void transport_linger(struct transport *t) {
   } else {
     fail_transport(t);
   }
+}
+
+bool transport_is_over(struct transport *t, uint64_t now_ms) {
+  if (t->lingering && now_ms - t->active_ms > LINGER_MS) {
+    transport_abort(t);
+  }
+  return t->lingering || t->closing;
 }

@@ -12,10 +12,7 @@
 #include "server/scpi/session.h"
 
 struct scpi_connection {
-  struct client client; /* first member: see client.h */
-  struct server *server;
-  int fd;
-  struct transport transport;
+  struct transport transport; /* first member: see transport.h */
   struct scpi_session session;
 
   struct text input;
@@ -24,18 +21,11 @@ struct scpi_connection {
   size_t at;             /* where its next unit begins, from `begin` on */
   struct scpi_scan scan; /* the search for its end, from `begin` on */
   bool skipping;         /* whether bytes are dropped up to the next newline */
-  size_t sent_bytes;     /* of the session's answers */
-  bool answered;         /* whether the answers are complete and have still to be written */
-
-  bool left;          /* whether the peer has shut down its side */
-  bool stopping;      /* whether the daemon stops */
-  unsigned unread;    /* bytes that had arrived when it began to stop: they are still read */
-  bool closing;       /* whether transport_close() has been called */
-  uint64_t active_ms; /* when bytes were last received or sent, or a job ended */
+  bool answered;         /* whether the answers are complete, and perhaps still to be written */
 };
 
 /* Makes a connection of a connected, non-blocking socket, which the connection then owns. The caller
- * gives `client` to a worker. Returns NULL if there is no memory. */
+ * gives its client to a worker. Returns NULL if there is no memory. */
 struct scpi_connection *scpi_connection_new(struct server *server, int fd);
 
 #endif

@@ -24,5 +24,5 @@ void scpi_service_admit(struct server *server, int fd) {
   }
   stats_add(&server->stats, STATS_SCPI_CONNECTIONS_ACCEPTED, 1);
   stats_add(&server->stats, STATS_SCPI_CONNECTIONS_OPEN, 1);
-  worker_give(listener_least_busy(server), &connection->client);
+  worker_give(listener_least_busy(server), &connection->transport.client);
 }

@@ -56,7 +56,7 @@ void fuzz_modbus(const uint8_t *data, size_t size) {
   CHECK(socketpair(AF_UNIX, SOCK_STREAM | SOCK_NONBLOCK | SOCK_CLOEXEC, 0, fds) == 0);
   struct modbus_connection *client = modbus_connection_new(units, fds[0], NULL, ROLE_ALL);
   stats_add(&fuzz_server.stats, STATS_MODBUS_CONNECTIONS_OPEN, 1);
-  worker_give(&fuzz_worker, &client->client);
+  worker_give(&fuzz_worker, &client->transport.client);
   struct fuzz_delivery delivery = fuzz_delivery_begin(data, 1);
   delivery.at = data + 2;
   delivery.left = size - 2;

@@ -35,7 +35,7 @@ void fuzz_scpi(const uint8_t *data, size_t size) {
   CHECK(socketpair(AF_UNIX, SOCK_STREAM | SOCK_NONBLOCK | SOCK_CLOEXEC, 0, fds) == 0);
   struct scpi_connection *client = scpi_connection_new(&fuzz_server, fds[0]);
   stats_add(&fuzz_server.stats, STATS_SCPI_CONNECTIONS_OPEN, 1);
-  worker_give(&fuzz_worker, &client->client);
+  worker_give(&fuzz_worker, &client->transport.client);
   struct fuzz_delivery delivery = fuzz_delivery_begin(data, 1);
   delivery.at = data + 2;
   delivery.left = size - 2;
