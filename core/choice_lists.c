@@ -15,114 +15,33 @@ const core_choice core_models[] = {
     END,
 };
 
-#define CORE_EVALUATOR(id, IDENT, name, number, about) {id, name, about},
-const core_choice core_evaluators[] = {
-#include "core/choices.def"
-    END,
-};
-
-#define CORE_MOMENTS(id, IDENT, name, eta_min, eta_max, about) {id, name, about},
-const core_choice core_moments_list[] = {
-#include "core/choices.def"
-    END,
-};
-
-#define CORE_QUANTITY(bit, IDENT, name, unit, SHAPE) {bit, name, unit},
-const core_choice core_quantities[] = {
-#include "core/choices.def"
-    END,
-};
-
-#define CORE_SPACING(id, IDENT, name, about) {id, name, about},
-const core_choice core_spacings[] = {
-#include "core/choices.def"
-    END,
-};
-
-#define CORE_DRAW(id, IDENT, name, about) {id, name, about},
-const core_choice core_draws[] = {
-#include "core/choices.def"
-    END,
-};
-
-#define CORE_LENGTH(id, IDENT, name, about) {id, name, about},
-const core_choice core_lengths[] = {
-#include "core/choices.def"
-    END,
-};
-
-#define CORE_PHASE(id, IDENT, name, about) {id, name, about},
-const core_choice core_phases[] = {
-#include "core/choices.def"
-    END,
-};
-
-#define CORE_PARAMETER(id, IDENT, name, unit, least, most, about)                                  \
+#define ENTRY(P, id, IDENT, name, about, ...) {id, name, about},
+#define PARAMETER(P, id, IDENT, name, about, unit, least, most)                                    \
   {id, name, unit ": " about " (" #least " to " #most ")"},
-const core_choice core_parameter_list[] = {
-#include "core/choices.def"
-    END,
-};
+const core_choice core_evaluators[] = {CORE_EACH_EVALUATOR(ENTRY, ) END};
+const core_choice core_moments_list[] = {CORE_EACH_MOMENTS(ENTRY, ) END};
+const core_choice core_quantities[] = {CORE_EACH_QUANTITY(ENTRY, ) END};
+const core_choice core_spacings[] = {CORE_EACH_SPACING(ENTRY, ) END};
+const core_choice core_draws[] = {CORE_EACH_DRAW(ENTRY, ) END};
+const core_choice core_lengths[] = {CORE_EACH_LENGTH(ENTRY, ) END};
+const core_choice core_phases[] = {CORE_EACH_PHASE(ENTRY, ) END};
+const core_choice core_parameter_list[] = {CORE_EACH_PARAMETER(PARAMETER, ) END};
+const core_choice core_coefficients[] = {CORE_EACH_COEFFICIENT(ENTRY, ) END};
+const core_choice core_unknowns[] = {CORE_EACH_UNKNOWN(ENTRY, ) END};
+const core_choice core_lights[] = {CORE_EACH_LIGHT(ENTRY, ) END};
+const core_choice core_notes[] = {CORE_EACH_NOTE(ENTRY, ) END};
+const core_choice core_fit_scales[] = {CORE_EACH_FIT_SCALE(ENTRY, ) END};
+const core_choice core_fit_axes[] = {CORE_EACH_FIT_AXIS(ENTRY, ) END};
+const core_choice core_fit_statuses[] = {CORE_EACH_FIT_STATUS(ENTRY, ) END};
+const core_choice core_value_statuses[] = {CORE_EACH_VALUE(ENTRY, ) END};
 
-#define CORE_COEFFICIENT(bit, IDENT, name, about) {bit, name, about},
-const core_choice core_coefficients[] = {
-#include "core/choices.def"
-    END,
-};
-
-#define CORE_UNKNOWN(bit, IDENT, name, about) {bit, name, about},
-const core_choice core_unknowns[] = {
-#include "core/choices.def"
-    END,
-};
-
-#define CORE_LIGHT(id, IDENT, name, about) {id, name, about},
-const core_choice core_lights[] = {
-#include "core/choices.def"
-    END,
-};
-
-#define CORE_NOTE(bit, IDENT, name, about) {bit, name, about},
-const core_choice core_notes[] = {
-#include "core/choices.def"
-    END,
-};
-
-#define CORE_FIT_SCALE(id, IDENT, name, about) {id, name, about},
-const core_choice core_fit_scales[] = {
-#include "core/choices.def"
-    END,
-};
-
-#define CORE_FIT_AXIS(id, IDENT, name, about) {id, name, about},
-const core_choice core_fit_axes[] = {
-#include "core/choices.def"
-    END,
-};
-
-#define CORE_FIT_STATUS(id, IDENT, name, about) {id, name, about},
-const core_choice core_fit_statuses[] = {
-#include "core/choices.def"
-    END,
-};
-
-#define CORE_VALUE(id, IDENT, name, allowed) {id, name, allowed},
-const core_choice core_value_statuses[] = {
-#include "core/choices.def"
-    END,
-};
-
-#define ELEMENTWISE true
-#define CHANNEL false
-#define RADII false
-#define COMPARED true
-#define DERIVED true
 bool core_quantity_elementwise(unsigned bit) {
+  enum { ELEMENTWISE = 1, COMPARED = 1, DERIVED = 1, CHANNEL = 0, RADII = 0 };
   switch (bit) {
-#define CORE_QUANTITY(bit, IDENT, name, unit, SHAPE)                                               \
+#define SHAPE_OF(P, bit, IDENT, name, unit, SHAPE)                                                 \
   case bit:                                                                                        \
     return SHAPE;
-#include "core/choices.def"
+    CORE_EACH_QUANTITY(SHAPE_OF, )
   default:
     return false;
   }
@@ -130,10 +49,10 @@ bool core_quantity_elementwise(unsigned bit) {
 
 size_t core_evaluator_bytes(unsigned evaluator) {
   switch (evaluator) {
-#define CORE_EVALUATOR(id, IDENT, name, number, about)                                             \
+#define BYTES_OF(P, id, IDENT, name, about, number)                                                \
   case id:                                                                                         \
     return sizeof(number);
-#include "core/choices.def"
+    CORE_EACH_EVALUATOR(BYTES_OF, )
   default:
     return 0;
   }

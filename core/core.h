@@ -19,6 +19,8 @@
 #include <stddef.h>
 #include <stdint.h>
 
+#include "core/choices.def"
+
 /* ---- lists ----------------------------------------------------------------------------------- */
 
 enum core_dipole_switch {
@@ -43,36 +45,6 @@ enum core_model {
 #include "core/models.def"
 };
 
-#define CORE_EVALUATOR(id, IDENT, name, number, about) CORE_EVALUATOR_##IDENT = (id),
-enum core_evaluator {
-#include "core/choices.def"
-};
-
-#define CORE_MOMENTS(id, IDENT, name, eta_min, eta_max, about) CORE_MOMENTS_##IDENT = (id),
-enum core_moments {
-#include "core/choices.def"
-};
-
-#define CORE_QUANTITY(bit, IDENT, name, unit, SHAPE) CORE_QUANTITY_##IDENT = (bit),
-enum core_quantity {
-#include "core/choices.def"
-};
-
-#define CORE_SPACING(id, IDENT, name, about) CORE_SPACING_##IDENT = (id),
-enum core_spacing {
-#include "core/choices.def"
-};
-
-#define CORE_DRAW(id, IDENT, name, about) CORE_DRAW_##IDENT = (id),
-enum core_draw_rule {
-#include "core/choices.def"
-};
-
-#define CORE_LENGTH(id, IDENT, name, about) CORE_LENGTH_##IDENT = (id),
-enum core_length {
-#include "core/choices.def"
-};
-
 /* Tolerances of tables, which core/choices.def quotes. A request may give the least up to 1. */
 #define CORE_LUT_TOLERANCE_MIN 1e-6
 #define CORE_LUT_TOLERANCE_MAX 0.1 /* larger values are clamped to this limit */
@@ -82,46 +54,21 @@ enum core_length {
 #define CORE_TEXT_(number) #number
 #define CORE_TEXT(number) CORE_TEXT_(number)
 
-#define CORE_PHASE(id, IDENT, name, about) CORE_PHASE_##IDENT = (id),
-enum core_phase {
-#include "core/choices.def"
-};
-
-#define CORE_PARAMETER(id, IDENT, name, unit, least, most, about) CORE_PARAMETER_##IDENT = (id),
-enum core_parameter {
-#include "core/choices.def"
-  CORE_PARAMETERS_END
-};
-
-#define CORE_COEFFICIENT(bit, IDENT, name, about) CORE_COEFFICIENT_##IDENT = (bit),
-enum core_coefficient {
-#include "core/choices.def"
-};
-
-#define CORE_UNKNOWN(bit, IDENT, name, about) CORE_UNKNOWN_##IDENT = (bit),
-enum core_unknown {
-#include "core/choices.def"
-};
-
-#define CORE_NOTE(bit, IDENT, name, about) CORE_NOTE_##IDENT = (bit),
-enum core_note {
-#include "core/choices.def"
-};
-
-#define CORE_FIT_SCALE(id, IDENT, name, about) CORE_FIT_SCALE_##IDENT = (id),
-enum core_fit_scale {
-#include "core/choices.def"
-};
-
-#define CORE_FIT_AXIS(id, IDENT, name, about) CORE_FIT_AXIS_##IDENT = (id),
-enum core_fit_axis {
-#include "core/choices.def"
-};
-
-#define CORE_FIT_STATUS(id, IDENT, name, about) CORE_FIT_STATUS_##IDENT = (id),
-enum core_fit_status {
-#include "core/choices.def"
-};
+#define CORE_ENUM(P, id, IDENT, ...) P##_##IDENT = (id),
+enum core_evaluator { CORE_EACH_EVALUATOR(CORE_ENUM, CORE_EVALUATOR) };
+enum core_moments { CORE_EACH_MOMENTS(CORE_ENUM, CORE_MOMENTS) };
+enum core_quantity { CORE_EACH_QUANTITY(CORE_ENUM, CORE_QUANTITY) };
+enum core_spacing { CORE_EACH_SPACING(CORE_ENUM, CORE_SPACING) };
+enum core_draw_rule { CORE_EACH_DRAW(CORE_ENUM, CORE_DRAW) };
+enum core_length { CORE_EACH_LENGTH(CORE_ENUM, CORE_LENGTH) };
+enum core_phase { CORE_EACH_PHASE(CORE_ENUM, CORE_PHASE) };
+enum core_parameter { CORE_EACH_PARAMETER(CORE_ENUM, CORE_PARAMETER) CORE_PARAMETERS_END };
+enum core_coefficient { CORE_EACH_COEFFICIENT(CORE_ENUM, CORE_COEFFICIENT) };
+enum core_unknown { CORE_EACH_UNKNOWN(CORE_ENUM, CORE_UNKNOWN) };
+enum core_note { CORE_EACH_NOTE(CORE_ENUM, CORE_NOTE) };
+enum core_fit_scale { CORE_EACH_FIT_SCALE(CORE_ENUM, CORE_FIT_SCALE) };
+enum core_fit_axis { CORE_EACH_FIT_AXIS(CORE_ENUM, CORE_FIT_AXIS) };
+enum core_fit_status { CORE_EACH_FIT_STATUS(CORE_ENUM, CORE_FIT_STATUS) };
 
 /* One entry of a list, for listings and for turning names into ids. `about` is the source of a
  * model, the unit of a quantity, or the meaning of any other entry. */

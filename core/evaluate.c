@@ -20,9 +20,9 @@ enum { CHUNK = 256 };
 
 static enum core_elementwise position(enum core_quantity quantity) {
   switch (quantity) {
-#define CORE_QUANTITY(bit, IDENT, name, unit, SHAPE)                                               \
+#define POSITION(P, bit, IDENT, name, unit, SHAPE)                                                 \
   CORE_IF_##SHAPE(case CORE_QUANTITY_##IDENT : return CORE_ELEMENTWISE_##IDENT;)
-#include "core/choices.def"
+    CORE_EACH_QUANTITY(POSITION, )
   default:
     assert(!"an elementwise quantity");
     return CORE_ELEMENTWISE_COUNT;

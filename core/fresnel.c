@@ -200,12 +200,12 @@ static core_fresnel jensen_moments(double eta) {
 
 core_fault core_fresnel_check(enum core_moments moments, double eta) {
   switch (moments) {
-#define CORE_MOMENTS(id, IDENT, name, eta_min, eta_max, about)                                     \
+#define CHECK(P, id, IDENT, name, about, eta_min, eta_max)                                         \
   case CORE_MOMENTS_##IDENT:                                                                       \
     return eta >= eta_min && eta <= eta_max                                                        \
                ? (core_fault){0}                                                                   \
                : (core_fault){"eta", #eta_min " to " #eta_max " with moments " name, 0};
-#include "core/choices.def"
+    CORE_EACH_MOMENTS(CHECK, )
   }
   assert(!"moments of the list");
   return (core_fault){0};

@@ -23,10 +23,9 @@
 #define CORE_IF_RADII(...)
 #define CORE_IF_COMPARED(...)
 #define CORE_IF_DERIVED(...)
-#define CORE_QUANTITY(bit, IDENT, name, unit, SHAPE) CORE_IF_##SHAPE(CORE_ELEMENTWISE_##IDENT, )
+#define CORE_ELEMENTWISE(P, bit, IDENT, name, unit, SHAPE) CORE_IF_##SHAPE(P##_##IDENT, )
 enum core_elementwise {
-#include "core/choices.def"
-  CORE_ELEMENTWISE_COUNT
+  CORE_EACH_QUANTITY(CORE_ELEMENTWISE, CORE_ELEMENTWISE) CORE_ELEMENTWISE_COUNT
 };
 
 /* A kernel: writes out[n] from in[n] and the coefficients of a prepared profile. The arrays do not

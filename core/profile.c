@@ -132,10 +132,9 @@ static const struct {
   double most;
   const char *range;
 } parameter_ranges[] = {
-#define CORE_PARAMETER(id, IDENT, name, unit, least, most, about)                                  \
+#define RANGE(P, id, IDENT, name, about, unit, least, most)                                        \
   {id, name, least, most, #least " to " #most},
-#include "core/choices.def"
-};
+    CORE_EACH_PARAMETER(RANGE, )};
 
 core_fault core_parameter_check(enum core_parameter parameter, double value) {
   for (size_t i = 0; i < sizeof parameter_ranges / sizeof parameter_ranges[0]; i++) {

@@ -23,10 +23,7 @@
 /* ---- statuses -------------------------------------------------------------------------------- */
 
 /* What became of one value, in one byte. */
-#define CORE_VALUE(id, IDENT, name, allowed) CORE_VALUE_##IDENT = (id),
-enum core_value_status {
-#include "core/choices.def"
-};
+enum core_value_status { CORE_EACH_VALUE(CORE_ENUM, CORE_VALUE) };
 
 /* of the kind of choice; `about` says what is allowed */
 extern const core_choice core_value_statuses[];

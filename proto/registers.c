@@ -204,10 +204,9 @@ static const struct limit {
   unsigned address;
   double value;
 } limits[] = {
-#define CORE_MOMENTS(id, IDENT, name, eta_min, eta_max, about)                                     \
+#define ETA_LIMITS(P, id, IDENT, name, about, eta_min, eta_max)                                    \
   {REGISTERS_AT_ETA, eta_min}, {REGISTERS_AT_ETA, eta_max},
-#include "core/choices.def"
-    {REGISTERS_AT_PARAMETER_TOLERANCE, CORE_LUT_TOLERANCE_MIN},
+    CORE_EACH_MOMENTS(ETA_LIMITS, ){REGISTERS_AT_PARAMETER_TOLERANCE, CORE_LUT_TOLERANCE_MIN},
 };
 
 double registers_number(const uint16_t image[REGISTERS_END], unsigned address) {

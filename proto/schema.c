@@ -69,11 +69,8 @@ const schema_structure schema_structures[SCHEMA_STRUCTURES] = {
 #define BIT_OF_DERIVED(bit) bit
 #define BIT_OF_CHANNEL(bit) 0
 #define BIT_OF_RADII(bit) 0
-#define CORE_QUANTITY(bit, IDENT, name, unit, SHAPE) | BIT_OF_##SHAPE(bit)
-enum {
-  ELEMENTWISE = 0
-#include "core/choices.def"
-};
+#define OR_BIT(P, bit, IDENT, name, unit, SHAPE) | BIT_OF_##SHAPE(bit)
+enum { ELEMENTWISE = 0 CORE_EACH_QUANTITY(OR_BIT, ) };
 
 #define STRUCTURE(name) &schema_structures[SCHEMA_STRUCTURE_##name]
 #define BEGINS_ONE(one) .structures = {STRUCTURE(one)}, .fixed_bytes = WIRE_BYTES_##one

@@ -12,11 +12,8 @@
   (CORE_QUANTITY_R | CORE_QUANTITY_ALBEDO | CORE_QUANTITY_CDF | CORE_QUANTITY_RADIUS |             \
    CORE_QUANTITY_PDF | CORE_QUANTITY_RING | CORE_QUANTITY_MODEL_ERROR)
 
-#define CORE_COEFFICIENT(bit, IDENT, name, about) | (bit)
-enum {
-  COEFFICIENTS = 0
-#include "core/choices.def"
-};
+#define OR_BIT(P, bit, ...) | (bit)
+enum { COEFFICIENTS = 0 CORE_EACH_COEFFICIENT(OR_BIT, ) };
 
 /* ---- requests -------------------------------------------------------------------------------- */
 

@@ -82,17 +82,19 @@ enum check {
 };
 
 static const char *const check_names[CHECKS] = {
-#define CORE_QUANTITY(bit, IDENT, name, unit, SHAPE)                                               \
+#define NAME_OF(P, bit, IDENT, name, unit, SHAPE)                                                  \
   CORE_IF_##SHAPE([CORE_ELEMENTWISE_##IDENT] = name, )
-#include "core/choices.def"
-    [ALBEDO] = "albedo",       [CDF_END] = "cdf stays 1",     [SAMPLE] = "sample",
-    [INVERSION] = "inversion", [MODEL_ERROR] = "model error", [TOLERANCE] = "tolerance"};
+    CORE_EACH_QUANTITY(NAME_OF, )[ALBEDO] = "albedo",
+    [CDF_END] = "cdf stays 1",
+    [SAMPLE] = "sample",
+    [INVERSION] = "inversion",
+    [MODEL_ERROR] = "model error",
+    [TOLERANCE] = "tolerance"};
 
 static const enum core_quantity quantities[CORE_ELEMENTWISE_COUNT] = {
-#define CORE_QUANTITY(bit, IDENT, name, unit, SHAPE)                                               \
+#define QUANTITY_OF(P, bit, IDENT, name, unit, SHAPE)                                              \
   CORE_IF_##SHAPE([CORE_ELEMENTWISE_##IDENT] = CORE_QUANTITY_##IDENT, )
-#include "core/choices.def"
-};
+    CORE_EACH_QUANTITY(QUANTITY_OF, )};
 
 static const unsigned models[] = {
 #define CORE_MODEL(id, IDENT, name, formula, kernels, variant, parameters, source) id,

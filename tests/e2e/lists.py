@@ -22,10 +22,22 @@ def read_list(path: str) -> str:
     return re.sub(r"\\\n", " ", text)
 
 
-def choices(macro: str, path: str = "core/choices.def") -> dict[str, int]:
-    """Returns the ids by name of the entries MACRO(id, IDENT, "name", ...)."""
-    entries = re.findall(rf'^{macro}\((\d+), [^"]*"(.*?)"', read_list(path), re.M)
-    return {name: int(number) for number, name in entries}
+def entries(of: str) -> list[tuple[str, ...]]:
+    """The entries of a list of core/choices.def: id, IDENT, name and all that follows."""
+    found = re.search(rf"^#define CORE_EACH_{of}\(X, P\)(.*)$", read_list("core/choices.def"), re.M)
+    assert found is not None
+    return re.findall(r'X\(P, (\d+), (\w+), *"(.*?)", *(.*?)\)(?= *(?:X\(|$))', found[1])
+
+
+def choices(of: str) -> dict[str, int]:
+    """Returns the ids by name of a list of core/choices.def."""
+    return {name: int(number) for number, _, name, _ in entries(of)}
+
+
+def models(macro: str) -> dict[str, int]:
+    """Returns the ids by name of the entries MACRO(id, IDENT, "name", ...) of core/models.def."""
+    listed = re.findall(rf'^{macro}\((\d+), [^"]*"(.*?)"', read_list("core/models.def"), re.M)
+    return {name: int(number) for number, name in listed}
 
 
 class Parameter(NamedTuple):
@@ -44,23 +56,15 @@ class Moments(NamedTuple):
     eta_max: float
 
 
-MODELS = {**choices("CORE_MODEL", "core/models.def"), **choices("CORE_SUM", "core/models.def")}
+MODELS = {**models("CORE_MODEL"), **models("CORE_SUM")}
 MOMENTS = {
-    name: Moments(int(number), float(low), float(high))
-    for number, name, low, high in re.findall(
-        r'^CORE_MOMENTS\((\d+), \w+, "(.*?)", ([\d.]+), ([\d.]+),',
-        read_list("core/choices.def"),
-        re.M,
-    )
+    name: Moments(int(number), *map(float, rest.split(",")[-2:]))
+    for number, _, name, rest in entries("MOMENTS")
 }
-EVALUATORS = choices("CORE_EVALUATOR")
+EVALUATORS = choices("EVALUATOR")
 _PARAMETERS = {
-    name: (Parameter(int(number), float(least), float(most)), about)
-    for number, name, least, most, about in re.findall(
-        r'^CORE_PARAMETER\((\d+), \w+, "(.*?)", ".*?", ([^,]+), ([^,]+),\s*"(.*?)"',
-        read_list("core/choices.def"),
-        re.M,
-    )
+    name: (Parameter(int(number), *map(float, rest.split(",")[-2:])), rest.strip('"'))
+    for number, _, name, rest in entries("PARAMETER")
 }
 # The parameters of profiles, and those that only mc or fit takes.
 MC_PARAMETERS, FIT_PARAMETERS = (
@@ -69,8 +73,8 @@ MC_PARAMETERS, FIT_PARAMETERS = (
 )
 OTHER_PARAMETERS = {**MC_PARAMETERS, **FIT_PARAMETERS}
 PARAMETERS = {name: one for name, (one, _) in _PARAMETERS.items() if name not in OTHER_PARAMETERS}
-NOTES = choices("CORE_NOTE")
-QUANTITIES = choices("CORE_QUANTITY")
+NOTES = choices("NOTE")
+QUANTITIES = choices("QUANTITY")
 DERIVATIVES = sum(
     QUANTITIES[name] for name in ("dlnR_dln_sigma_a", "dlnR_dln_sigma_s", "path", "dpf", "time")
 )

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 from daemons import REPOSITORY, Daemon
-from lists import EVALUATORS, MODELS, read_list
+from lists import EVALUATORS, MODELS, entries, read_list
 
 TCP = "--modbus", "tcp:127.0.0.1:0"
 
@@ -49,8 +49,7 @@ def addresses() -> dict[str, int]:
         ident: sum(map(int, re.findall(r"\d+", address)))  # such as (4420) + 1
         for ident, address in re.findall(r"@ *(\w+) *= *([\d+() ]+)@", text)
     }
-    text = read_list("core/choices.def")
-    for number, ident in re.findall(r"CORE_PARAMETER\((\d+), (\w+),", text):
+    for number, ident, _, _ in entries("PARAMETER"):
         fields[f"PARAMETER_{ident}"] = 104 if number == "1" else 216 + 2 * int(number)
     return fields
 

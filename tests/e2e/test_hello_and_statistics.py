@@ -28,19 +28,19 @@ def test_the_lists(client):
     listed = client.info.choices
     ids = {kind: {name: one.id for name, one in some.items()} for kind, some in listed.items()}
     assert ids["model"] == MODELS
-    assert ids["evaluator"] == choices("CORE_EVALUATOR")
-    assert ids["moments"] == choices("CORE_MOMENTS")
-    assert ids["quantity"] == choices("CORE_QUANTITY")
-    assert ids["spacing"] == choices("CORE_SPACING")
-    assert ids["parameter"] == choices("CORE_PARAMETER")
+    assert ids["evaluator"] == choices("EVALUATOR")
+    assert ids["moments"] == choices("MOMENTS")
+    assert ids["quantity"] == choices("QUANTITY")
+    assert ids["spacing"] == choices("SPACING")
+    assert ids["parameter"] == choices("PARAMETER")
     assert set(ids["parameter"]) == {*PARAMETERS, *OTHER_PARAMETERS}
     assert ids["note"] == NOTES
-    assert ids["draw"] == choices("CORE_DRAW")
-    assert ids["length"] == choices("CORE_LENGTH")
-    assert ids["phase"] == choices("CORE_PHASE")
-    assert ids["scale"] == choices("CORE_FIT_SCALE")
-    assert ids["axis"] == choices("CORE_FIT_AXIS")
-    assert ids["fit_status"] == choices("CORE_FIT_STATUS")
+    assert ids["draw"] == choices("DRAW")
+    assert ids["length"] == choices("LENGTH")
+    assert ids["phase"] == choices("PHASE")
+    assert ids["scale"] == choices("FIT_SCALE")
+    assert ids["axis"] == choices("FIT_AXIS")
+    assert ids["fit_status"] == choices("FIT_STATUS")
     assert ids["status"] == {name: code for code, name in wire.STATUSES.items()}
     assert "d'Eon" in listed["model"]["better"].about
     assert listed["quantity"]["R"].about == "1/mm^2"

@@ -279,7 +279,7 @@ def make(message: str, cut: int = 0, more: int = 0, keep: int | None = None, sta
 
 def read_wrong() -> dict[str, tuple]:
     """Returns the arguments of assert_refused() for the rows of wrong.txt."""
-    listed = {"INF": math.inf, "NAN": math.nan, "P": types.SimpleNamespace(**choices("CORE_PARAMETER"))}
+    listed = {"INF": math.inf, "NAN": math.nan, "P": types.SimpleNamespace(**choices("PARAMETER"))}
     listed["M"] = type("M", (dict,), {"__getattr__": dict.__getitem__})(MODELS)
     listed["below"] = lambda x: math.nextafter(x, -math.inf)
     cases = {}

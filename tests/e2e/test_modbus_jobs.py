@@ -20,7 +20,7 @@ from modbus_master import (
 
 CANCELLED = 4
 KINDS = ["SAMPLE", "INVERT", "MC"]
-DRAWS, LENGTHS = choices("CORE_DRAW"), choices("CORE_LENGTH")
+DRAWS, LENGTHS = choices("DRAW"), choices("LENGTH")
 
 
 @pytest.fixture

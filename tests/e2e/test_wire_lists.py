@@ -10,7 +10,7 @@ from pathlib import Path
 
 from daemons import BUILD, REPOSITORY
 from dipole import wire
-from lists import choices, read_list
+from lists import choices, entries, read_list
 
 
 def test_everything_made_from_the_lists_is_up_to_date(tmp_path):
@@ -43,7 +43,7 @@ def test_constants_of_the_header():
 
 
 def test_ids_that_layouts_depend_on():
-    quantities = choices("CORE_QUANTITY")
+    quantities = choices("QUANTITY")
     assert quantities["R"] == wire.QUANTITY_R
     assert quantities["albedo"] == wire.QUANTITY_ALBEDO
     assert quantities["cdf"] == wire.QUANTITY_CDF
@@ -51,9 +51,8 @@ def test_ids_that_layouts_depend_on():
     per_radius = [bit for name, bit in quantities.items() if name not in ("albedo", "r", "model_error")]
     assert quantities["model_error"] == wire.QUANTITY_MODEL_ERROR
     assert per_radius == list(wire.ELEMENTWISE)
-    assert choices("CORE_SPACING")["list"] == wire.SPACING_LIST
-    numbers = re.findall(
-        r'^CORE_EVALUATOR\((\d+), \w+, "\w+", (\w+),', read_list("core/choices.def"), re.M
-    )
+    assert choices("SPACING")["list"] == wire.SPACING_LIST
     types = {"double": "<f8", "float": "<f4"}
-    assert wire.EVALUATOR_TYPES == {int(id): types[number] for id, number in numbers}
+    assert wire.EVALUATOR_TYPES == {
+        int(id): types[rest.split()[-1]] for id, _, _, rest in entries("EVALUATOR")
+    }
