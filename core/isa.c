@@ -3,9 +3,6 @@
 
 #include "core/kernels.h"
 
-#define INDEX(level, unused) INDEX_##level,
-enum { CORE_ISA_LEVELS(INDEX, ) LEVELS };
-
 static bool portable_supported(void) {
   return true;
 }
@@ -30,11 +27,11 @@ static bool neon_supported(void) {
 }
 #endif
 
-#define LEVEL(level, unused) {#level, level##_supported, INDEX_##level},
-static const core_isa levels[LEVELS] = {CORE_ISA_LEVELS(LEVEL, )};
+#define LEVEL(level, unused) {#level, level##_supported, CORE_ISA_INDEX_##level},
+static const core_isa levels[CORE_ISA_COUNT] = {CORE_ISA_LEVELS(LEVEL, )};
 
 const core_isa *core_isa_select(const char *name) {
-  for (size_t i = LEVELS; i-- > 0;) {
+  for (size_t i = CORE_ISA_COUNT; i-- > 0;) {
     if ((name == NULL || strcmp(levels[i].name, name) == 0) && levels[i].supported()) {
       return &levels[i];
     }
@@ -47,5 +44,5 @@ const char *core_isa_name(const core_isa *isa) {
 }
 
 const char *core_isa_listed(size_t index) {
-  return index < LEVELS ? levels[index].name : NULL;
+  return index < CORE_ISA_COUNT ? levels[index].name : NULL;
 }

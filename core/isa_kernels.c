@@ -11,22 +11,13 @@ enum model_index {
   MODELS
 };
 
-#define INDEX(level, unused) INDEX_##level,
-enum level_index { CORE_ISA_LEVELS(INDEX, ) LEVELS };
-
-#define DECLARE(level, family)                                                                     \
-  extern const core_kernels_f64 core_kernels_##family##_##level##_f64;                             \
-  extern const core_kernels_f32 core_kernels_##family##_##level##_f32;
 #define CORE_MODEL(id, IDENT, name, formula, kernels, variant, parameters, source)                 \
-  CORE_ISA_LEVELS(DECLARE, kernels)
+  CORE_ISA_LEVELS(CORE_KERNELS_DECLARE, kernels)
 #include "core/models.def"
 
-#define KERNELS(level, family)                                                                     \
-  [INDEX_##                                                                                        \
-      level] = {&core_kernels_##family##_##level##_f64, &core_kernels_##family##_##level##_f32},
-static const struct core_kernels kernels[MODELS][LEVELS] = {
+static const struct core_kernels kernels[MODELS][CORE_ISA_COUNT] = {
 #define CORE_MODEL(id, IDENT, name, formula, kernels, variant, parameters, source)                 \
-  [INDEX_##IDENT] = {CORE_ISA_LEVELS(KERNELS, kernels)},
+  [INDEX_##IDENT] = {CORE_ISA_LEVELS(CORE_KERNELS, kernels)},
 #include "core/models.def"
 };
 

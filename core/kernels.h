@@ -17,6 +17,17 @@
 #define CORE_ISA_LEVELS(X, ...) X(portable, __VA_ARGS__)
 #endif
 
+#define CORE_ISA_INDEX(level, unused) CORE_ISA_INDEX_##level,
+enum { CORE_ISA_LEVELS(CORE_ISA_INDEX, ) CORE_ISA_COUNT };
+
+/* CORE_ISA_TABLE(type, name) defines name_of[], the objects name_<level> of each instruction set, by
+ * core_isa.index. */
+#define CORE_ISA_DECLARE(level, type, name) extern const type name##_##level;
+#define CORE_ISA_POINTER(level, type, name) &name##_##level,
+#define CORE_ISA_TABLE(type, name)                                                                 \
+  CORE_ISA_LEVELS(CORE_ISA_DECLARE, type, name)                                                    \
+  static const type *const name##_of[] = {CORE_ISA_LEVELS(CORE_ISA_POINTER, type, name)};
+
 /* Positions of the elementwise quantities, in the order of core/choices.def. */
 #define CORE_IF_ELEMENTWISE(...) __VA_ARGS__
 #define CORE_IF_CHANNEL(...)
@@ -28,82 +39,67 @@ enum core_elementwise {
   CORE_EACH_QUANTITY(CORE_ELEMENTWISE, CORE_ELEMENTWISE) CORE_ELEMENTWISE_COUNT
 };
 
-/* A kernel: writes out[n] from in[n] and the coefficients of a prepared profile. The arrays do not
- * overlap; n may be any number, 0 included. */
-typedef void core_kernel_f64(const double *coefficients, size_t n, const double *in, double *out);
-typedef void core_kernel_f32(const float *coefficients, size_t n, const float *in, float *out);
-
-/* A kernel for media that vary (core/varying.h): value i has the medium sigma_a[i], sigma_s[i] in
- * 1/mm. shared: constants of the model, g and eta (core/models/lanes.h); words: tables
- * (core/cells/find.h). Values outside of the model's domain are NaN. */
-typedef void core_varying_kernel_f64(const double *shared, const double *words, size_t n,
-                                     const double *sigma_a, const double *sigma_s, const double *in,
-                                     double *out);
-typedef void core_varying_kernel_f32(const float *shared, const float *words, size_t n,
-                                     const float *sigma_a, const float *sigma_s, const float *in,
-                                     float *out);
-
 /* The argument of core_varying_check_kernel: radii up to infinity, or numbers u up to 1. */
 enum core_varying_argument { CORE_VARYING_RADII, CORE_VARYING_NUMBERS };
 
-/* Sets status[n] to the statuses (enum core_value_status) of n values, and *range. With numbers u,
- * only the albedos of *range have a meaning. */
-typedef void core_varying_check_kernel_f64(const double *shared, size_t n, const double *sigma_a,
-                                           const double *sigma_s, const double *in,
-                                           enum core_varying_argument argument, uint8_t *status,
-                                           core_varying_range *range);
-typedef void core_varying_check_kernel_f32(const float *shared, size_t n, const float *sigma_a,
-                                           const float *sigma_s, const float *in,
-                                           enum core_varying_argument argument, uint8_t *status,
-                                           core_varying_range *range);
-
-/* Does what core_varying_invert() does; `what` is as core_colour, and albedo is not NULL. */
-typedef void core_varying_invert_kernel_f64(const double *shared, const double *words,
-                                            const core_colour *what, size_t n, const double *colour,
-                                            const double *length_mm, double *sigma_a,
-                                            double *sigma_s, double *albedo, uint8_t *status);
-typedef void core_varying_invert_kernel_f32(const float *shared, const float *words,
-                                            const core_colour *what, size_t n, const float *colour,
-                                            const float *length_mm, float *sigma_a, float *sigma_s,
-                                            float *albedo, uint8_t *status);
-
-/* A kernel that sets ln R and its derivatives by ln sigma_a and ln sigma_s. */
-typedef void core_varying_gradient_kernel_f64(const double *shared, const double *words, size_t n,
-                                              const double *sigma_a, const double *sigma_s,
-                                              const double *r, double *ln_R, double *by_ln_sigma_a,
-                                              double *by_ln_sigma_s);
-
-/* An entry is NULL where core has one method for all models: core/evaluate.c makes S, the pdf and
- * 2 pi r R from R, core/transfer.c transforms R, and core/sample.c inverts the cdf. Derivatives of ln R
- * have no such method. If all entries of an f32 table are NULL, core evaluates in double precision and rounds. The entries for media that vary are NULL
- * too if a model has none. */
-typedef struct core_kernels_f64 {
-  core_kernel_f64 *evaluate[CORE_ELEMENTWISE_COUNT]; /* in: radii in mm */
-  core_kernel_f64 *sample;                           /* in: cdf values; out: radii in mm */
-  core_varying_kernel_f64 *varying[CORE_ELEMENTWISE_COUNT];
-  core_varying_kernel_f64 *varying_sample;
-  core_varying_kernel_f64 *varying_albedo; /* in: any valid radii, which are not used */
-  core_varying_gradient_kernel_f64 *varying_gradient;
-  /* only in core/models/varying.c, which serves all models */
-  core_varying_check_kernel_f64 *varying_check;
-  core_varying_invert_kernel_f64 *varying_invert;
-} core_kernels_f64;
-
-typedef struct core_kernels_f32 {
-  core_kernel_f32 *evaluate[CORE_ELEMENTWISE_COUNT];
-  core_kernel_f32 *sample;
-  core_varying_kernel_f32 *varying[CORE_ELEMENTWISE_COUNT];
-  core_varying_kernel_f32 *varying_sample;
-  core_varying_kernel_f32 *varying_albedo;
-  core_varying_check_kernel_f32 *varying_check;
-  core_varying_invert_kernel_f32 *varying_invert;
-} core_kernels_f32;
+/* The kernels of a precision.
+ *
+ * core_kernel writes out[n] from in[n] and the coefficients of a prepared profile. The arrays do not
+ * overlap; n may be any number, 0 included.
+ *
+ * The others are for media that vary (core/varying.h): value i has the medium sigma_a[i], sigma_s[i]
+ * in 1/mm. shared: constants of the model, g and eta (core/models/lanes.h); words: tables
+ * (core/cells/find.h). Values outside of the model's domain are NaN. core_varying_check_kernel sets
+ * status[n] to the statuses (enum core_value_status) of n values, and *range; with numbers u, only the
+ * albedos of *range have a meaning. core_varying_invert_kernel does what core_varying_invert() does;
+ * `what` is as core_colour, and albedo is not NULL. core_varying_gradient_kernel sets ln R and its
+ * derivatives by ln sigma_a and ln sigma_s; in double precision only.
+ *
+ * An entry of core_kernels is NULL where core has one method for all models: core/evaluate.c makes S,
+ * the pdf and 2 pi r R from R, core/transfer.c transforms R, and core/sample.c inverts the cdf.
+ * Derivatives of ln R have no such method. If all entries of an f32 table are NULL, core evaluates in
+ * double precision and rounds. The entries for media that vary are NULL too if a model has none. */
+#define CORE_KERNELS_OF(bits, real)                                                                \
+  typedef void core_kernel_##bits(const real *coefficients, size_t n, const real *in, real *out);  \
+  typedef void core_varying_kernel_##bits(const real *shared, const real *words, size_t n,         \
+                                          const real *sigma_a, const real *sigma_s,                \
+                                          const real *in, real *out);                              \
+  typedef void core_varying_check_kernel_##bits(                                                   \
+      const real *shared, size_t n, const real *sigma_a, const real *sigma_s, const real *in,      \
+      enum core_varying_argument argument, uint8_t *status, core_varying_range *range);            \
+  typedef void core_varying_invert_kernel_##bits(                                                  \
+      const real *shared, const real *words, const core_colour *what, size_t n,                    \
+      const real *colour, const real *length_mm, real *sigma_a, real *sigma_s, real *albedo,       \
+      uint8_t *status);                                                                            \
+  typedef void core_varying_gradient_kernel_##bits(                                                \
+      const real *shared, const real *words, size_t n, const real *sigma_a, const real *sigma_s,   \
+      const real *r, real *ln_R, real *by_ln_sigma_a, real *by_ln_sigma_s);                        \
+  typedef struct core_kernels_##bits {                                                             \
+    core_kernel_##bits *evaluate[CORE_ELEMENTWISE_COUNT]; /* in: radii in mm */                    \
+    core_kernel_##bits *sample;                           /* in: cdf values; out: radii in mm */   \
+    core_varying_kernel_##bits *varying[CORE_ELEMENTWISE_COUNT];                                   \
+    core_varying_kernel_##bits *varying_sample;                                                    \
+    core_varying_kernel_##bits *varying_albedo; /* in: any valid radii, which are not used */      \
+    core_varying_gradient_kernel_##bits *varying_gradient;                                         \
+    /* only in core/models/varying.c, which serves all models */                                   \
+    core_varying_check_kernel_##bits *varying_check;                                               \
+    core_varying_invert_kernel_##bits *varying_invert;                                             \
+  } core_kernels_##bits;
+CORE_KERNELS_OF(f64, double)
+CORE_KERNELS_OF(f32, float)
 
 /* The kernels of one model for one instruction set. */
 struct core_kernels {
   const core_kernels_f64 *f64;
   const core_kernels_f32 *f32;
 };
+
+/* These declare the kernels of a family, and are them. */
+#define CORE_KERNELS_DECLARE(level, family)                                                        \
+  extern const core_kernels_f64 core_kernels_##family##_##level##_f64;                             \
+  extern const core_kernels_f32 core_kernels_##family##_##level##_f32;
+#define CORE_KERNELS(level, family)                                                                \
+  {&core_kernels_##family##_##level##_f64, &core_kernels_##family##_##level##_f32},
 
 struct core_isa {
   const char *name;
@@ -177,6 +173,10 @@ typedef struct core_preparation {
  * faults that show only in preparing. */
 typedef core_fault core_check_function(const core_inputs *inputs, core_radii_range *radii);
 typedef core_fault core_prepare_function(const core_inputs *inputs, core_preparation *preparation);
+#define CORE_MODEL(id, IDENT, name, formula, kernels, variant, parameters, source)                 \
+  core_check_function core_##formula##_check;                                                      \
+  core_prepare_function core_##formula##_prepare;
+#include "core/models.def"
 
 /* Returns the relative error of dR/dr of the model `transport` where it comes from the table of
  * solutions. */

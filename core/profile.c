@@ -10,11 +10,6 @@
 #include "core/paths.h"
 #include "core/ruler.h"
 
-#define CORE_MODEL(id, IDENT, name, formula, kernels, variant, parameters, source)                 \
-  extern core_check_function core_##formula##_check;                                               \
-  extern core_prepare_function core_##formula##_prepare;
-#include "core/models.def"
-
 /* ---- the list, as a table -------------------------------------------------------------------- */
 
 struct model {

@@ -170,14 +170,7 @@ core_fit_cost core_fit_cost_of(const core_fit_design *design) {
 
 /* ---- preparing ------------------------------------------------------------------------------- */
 
-#define INDEX(level, unused) INDEX_##level,
-enum { CORE_ISA_LEVELS(INDEX, ) LEVELS };
-
-#define DECLARE(level, unused) extern const fit_loops fit_loops_##level;
-CORE_ISA_LEVELS(DECLARE, )
-
-#define LOOPS_OF(level, unused) [INDEX_##level] = &fit_loops_##level,
-static const fit_loops *const loops[LEVELS] = {CORE_ISA_LEVELS(LOOPS_OF, )};
+CORE_ISA_TABLE(fit_loops, fit_loops)
 
 /* Makes the model detect the light within the design's aperture alone, of media with this g and
  * eta. */
@@ -192,7 +185,7 @@ static void set_aperture(struct fit_model *model, const core_fit_design *design,
 static struct fit_model model_of(const core_isa *isa, const core_fit_design *design) {
   struct fit_model model = {
       .isa = isa,
-      .loops = loops[isa->index],
+      .loops = fit_loops_of[isa->index],
       .model = design->model,
       .moments = design->moments,
       .quantity =

@@ -34,12 +34,7 @@
 
 /* ---- sums ------------------------------------------------------------------------------------ */
 
-#define DECLARE(level, unused) extern const gather_loops gather_loops_##level;
-CORE_ISA_LEVELS(DECLARE, )
-
-static const gather_loops *const levels[] = {
-#define LEVEL(level, unused) &gather_loops_##level,
-    CORE_ISA_LEVELS(LEVEL, )};
+CORE_ISA_TABLE(gather_loops, gather_loops)
 
 struct core_gather_sum {
   const gather_loops *loops;
@@ -91,7 +86,7 @@ core_fault core_gather_sum_prepare(core_gather_sum **sum, const core_isa *isa, s
     free(bounds);
     return CORE_OUT_OF_MEMORY;
   }
-  made->loops = levels[isa->index];
+  made->loops = gather_loops_of[isa->index];
   made->channels = channels;
   made->tolerance = tolerance;
   made->bounds = bounds;

@@ -307,9 +307,6 @@ CORE_KERNEL_TABLE_NONE(burley);
 
 #else /* what follows prepares a profile, and is compiled once for all instruction sets */
 
-core_check_function core_burley_check;
-core_prepare_function core_burley_prepare;
-
 core_fault core_burley_check(const core_inputs *inputs, core_radii_range *radii) {
   (void)radii;
   if (inputs->variant == CORE_BURLEY_DMFP && !(inputs->medium->sigma_a_per_mm > 0)) {

@@ -70,9 +70,6 @@
 
 #define PI 3.14159265358979323846
 
-core_check_function core_cloud_check;
-core_prepare_function core_cloud_prepare;
-
 core_fault core_cloud_check(const core_inputs *inputs, core_radii_range *radii) {
   (void)radii;
   const double thickness = inputs->medium->thickness_mm * core_sigma_t_prime(inputs->medium);

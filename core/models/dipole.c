@@ -724,9 +724,6 @@ static double mirrored_condition(struct lane_dipole d) {
   return fmin(d.mu * d.z2_less_1, real_log(1 + d.z2_less_1, 0));
 }
 
-core_check_function core_dipole_check;
-core_prepare_function core_dipole_prepare;
-
 core_fault core_dipole_check(const core_inputs *inputs, core_radii_range *radii) {
   (void)inputs;
   (void)radii;

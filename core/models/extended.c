@@ -318,9 +318,6 @@ CORE_KERNEL_TABLE_NONE(extended);
 #define TABLE_LAST 1e13
 #define TABLE_EXPONENT 45.0
 
-core_check_function core_extended_check;
-core_prepare_function core_extended_prepare;
-
 core_fault core_extended_check(const core_inputs *inputs, core_radii_range *radii) {
   (void)inputs;
   (void)radii;

@@ -38,9 +38,6 @@
 
 enum { POINTS = 100, CHECKS = 1000, STARTS = 2, CALLS_MAX = 200, UNKNOWNS = 2 * GAUSSIANS_MOST };
 
-core_check_function core_gaussian_fit_check;
-core_prepare_function core_gaussian_fit_prepare;
-
 #ifdef CORE_WITHOUT_CMINPACK
 
 static const core_fault without_cminpack = {

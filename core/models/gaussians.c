@@ -168,9 +168,6 @@ CORE_KERNEL_TABLE_NONE(gaussians);
 /* A sum with a smaller energy than this is taken as 0. */
 #define ALBEDO_LEAST 1e-250
 
-core_check_function core_gaussians_check;
-core_prepare_function core_gaussians_prepare;
-
 /* Returns the smallest rate of the Gaussians with a positive weight. */
 static double slowest_of(const core_gaussian *gaussians, size_t count) {
   double slowest = (double)INFINITY;

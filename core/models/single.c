@@ -230,9 +230,6 @@ CORE_KERNEL_TABLE_NONE(single);
 /* cost of one value in kernel evaluations of a dipole, measured with `build/bench kernel` */
 #define COST 110
 
-core_check_function core_single_check;
-core_prepare_function core_single_prepare;
-
 #define TEXT_(x) #x
 #define TEXT(x) TEXT_(x)
 

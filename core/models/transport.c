@@ -273,9 +273,6 @@ enum { PANELS_MAX = 48 };
 #define RATIO_MOST 1000.0       /* largest sigma_a / sigma_s' */
 #define RATIO_MOST_STORED 100.0 /* the same of the table */
 
-core_check_function core_transport_check;
-core_prepare_function core_transport_prepare;
-
 static bool wants_derivatives(const core_inputs *inputs) {
   return !isnan(inputs->parameters->value[CORE_PARAMETER_DERIVATIVES]);
 }

@@ -14,25 +14,7 @@
 
 /* ---- instruction sets ------------------------------------------------------------------------ */
 
-#define DECLARE(level, unused) extern const walk_functions walk_functions_##level;
-CORE_ISA_LEVELS(DECLARE, )
-
-static const struct {
-  const char *isa;
-  const walk_functions *functions;
-} levels[] = {
-#define LEVEL(level, unused) {#level, &walk_functions_##level},
-    CORE_ISA_LEVELS(LEVEL, )};
-enum { LEVELS = sizeof levels / sizeof levels[0] };
-
-static const walk_functions *functions_for(const core_isa *isa) {
-  size_t i = 0;
-  while (i < LEVELS && strcmp(levels[i].isa, core_isa_name(isa)) != 0) {
-    i++;
-  }
-  assert(i < LEVELS);
-  return levels[i].functions;
-}
+CORE_ISA_TABLE(walk_functions, walk_functions)
 
 /* ---- the tally ------------------------------------------------------------------------------- */
 
@@ -275,7 +257,7 @@ static void absorb_all(core_mc_batch *batch) {
 }
 
 bool core_mc_batch_walk(core_mc_batch *batch, const core_isa *isa, uint64_t scatterings) {
-  const walk_functions *functions = functions_for(isa);
+  const walk_functions *functions = walk_functions_of[isa->index];
   const walk_medium *medium = &batch->plan->walk;
   if (batch->launched == 0 && !batch->plan->walks) {
     absorb_all(batch);

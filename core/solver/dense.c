@@ -26,14 +26,7 @@ dense solver_dense_at(const core_isa *isa, double **memory, size_t rows, size_t 
 
 /* ---- instruction sets ----------------------------------------------------------------------- */
 
-#define INDEX(level, unused) INDEX_##level,
-enum { CORE_ISA_LEVELS(INDEX, ) LEVELS };
-
-#define DECLARE(level, unused) extern const dense_loops solver_dense_loops_##level;
-CORE_ISA_LEVELS(DECLARE, )
-
-#define LOOPS_OF(level, unused) [INDEX_##level] = &solver_dense_loops_##level,
-static const dense_loops *const loops[LEVELS] = {CORE_ISA_LEVELS(LOOPS_OF, )};
+CORE_ISA_TABLE(dense_loops, solver_dense_loops)
 
 /* ---- products ------------------------------------------------------------------------------- */
 
@@ -46,7 +39,7 @@ static dense within(const dense *of, size_t row, size_t column, size_t rows, siz
 
 /* Adds sign * a b to `to`. Rows of b and `to` are padded to a multiple of GROUP. */
 static void add_dense(const dense *to, const dense *a, const dense *b, double sign) {
-  const dense_loops *of = loops[to->isa->index];
+  const dense_loops *of = solver_dense_loops_of[to->isa->index];
   const dense_part to_re = {to->re, to->stride}, to_im = {to->im, to->stride};
   const dense_part a_re = {a->re, a->stride}, a_im = {a->im, a->stride};
   const dense_part b_re = {b->re, b->stride}, b_im = {b->im, b->stride};
@@ -116,7 +109,7 @@ static number product(number a, number b) {
 /* Subtracts factor times row `from` from row `to`, in columns first to end - 1. */
 static void subtract_row(const dense *of, size_t to, size_t from, number factor, size_t first,
                          size_t end) {
-  const dense_loops *by = loops[of->isa->index];
+  const dense_loops *by = solver_dense_loops_of[of->isa->index];
   const size_t at = to * of->stride + first, other = from * of->stride + first;
   if (of->im == NULL) {
     by->subtract_real(of->re + at, of->re + other, factor.re, end - first);
