@@ -1,18 +1,16 @@
-"""Draws Figures 1 to 17 of d'Eon 2012, "A Better Dipole", with Monte Carlo and transport added, and
-the README's figure of tissue, which scatters forward.
+"""Measures which models are nearer to transport in the panels of Figures 1 to 16 of d'Eon 2012, "A
+Better Dipole", and draws the README's figure of tissue, which scatters forward, and one of layers.
 
 A daemon of its own computes all values. Written into the folder:
 
-    figure_NN.svg, figure_NN.csv, figure_NN_albedos.csv
     summary.csv             which model is nearer to transport
     tissue.svg, tissue.csv  R of tissue by transport, by its similarity approximation, by dipoles
     layers.svg, layers.csv, slab.csv  R of skin's two layers and of one medium; a slab's R and T, multipoles
     parts/                  tables of Monte Carlo, which a second run reads
 
-Figure NN from 1 to 16 has ratio number NN of sigma_a / sigma_s', and a panel for each eta. Figure
-17 sets the switches of the dipole one by one, for three ratios and three eta. Their scattering is
-isotropic; their lengths are in mean free paths, which are 1 / sigma_t', and R is per squared mean
-free path and per power that entered.
+There is a panel for each ratio sigma_a / sigma_s' and eta. Its scattering is isotropic; lengths are in
+mean free paths, which are 1 / sigma_t', and R is per squared mean free path and per power that
+entered.
 """
 
 from __future__ import annotations
@@ -33,42 +31,28 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "clients" / "python
 import dipole  # noqa: E402  (needs the path above)
 from dipole.mc import unpack_result  # noqa: E402
 from pictures import plt, save  # noqa: E402
+from reference import ring_means  # noqa: E402
 
-RATIOS = "0.0001 0.0002 0.0005 0.001 0.002 0.005 0.01 0.02 0.05 0.1 0.2 0.5 1 2 5 10".split()
-ETAS = [f"{1 + i / 10:.1f}" for i in range(11)]
-RINGS = 64
-EDGES = dipole.Grid(0.01, 20.0, RINGS + 1, "logarithmic")
-MODELS = (
-    "classical better quantized quantized+single classical+single better+single grosjean boundary "
-    "exitance"
-).split()
-CURVES = ["monte_carlo", "transport", *MODELS]
-COLUMNS = "monte_carlo monte_carlo_error transport transport_error transport_ring".split() + MODELS
+RATIOS = (1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10)
+ETAS = [1 + i / 10 for i in range(11)]
+RADII = np.geomspace(0.01, 20, 65)
+RADII = np.sqrt(RADII[1:] * RADII[:-1])
+MODELS = "transport classical better quantized quantized+single classical+single better+single".split()
+TOLERANCES = {"transport": 5e-7, "quantized": 1e-6, "quantized+single": 1e-6}
 
 SEED = 20120101
-TRANSPORT_TOLERANCE = 5e-7
-QUANTIZED_TOLERANCE = 1e-6
 
 
 class Panel(NamedTuple):
-    """One medium. Monte Carlo's values, and transport_ring, which compares with them, are means
-    over the rings; all others are values at the rings' middles, which are geometric means."""
+    """One medium, R[len(RADII)] and the albedo by each of MODELS."""
 
-    ratio: str
-    eta: str
-    r: np.ndarray  # [RINGS]
-    edges: np.ndarray  # [RINGS + 1]
-    values: dict[str, np.ndarray]  # arrays [RINGS] by the names in COLUMNS
-    albedos: dict[str, float]  # by the same names, without transport_ring
+    ratio: float
+    eta: float
+    R: dict[str, np.ndarray]
+    albedo: dict[str, float]
 
 
 # ---- values --------------------------------------------------------------------------------------
-
-
-def media_of(ratios: Sequence[str], eta: str) -> list[dipole.Medium]:
-    """The media of these ratios, with sigma_t' = 1 per mm."""
-    numbers = map(float, ratios)
-    return [dipole.Medium(x / (1 + x), 1 / (1 + x), 0, float(eta)) for x in numbers]
 
 
 def walk(
@@ -98,37 +82,15 @@ def walk(
     return found
 
 
-def panels_of(
-    client: dipole.Client, ratios: Sequence[str], eta: str, table: dipole.McResult | None
-) -> Iterator[Panel]:
-    """The panels of these ratios with all values."""
-    media = media_of(ratios, eta)
-    grid = client.eval("classical", media[:1], grid=EDGES, wanted=["r"])
-    edges = np.array(grid.r)
-    r = np.sqrt(edges[1:] * edges[:-1])
-    wanted = ["R", "albedo"]
-    transport = client.eval("transport", media, r, tolerance=TRANSPORT_TOLERANCE, wanted=wanted)
-    rings = client.ring_means("transport", media, edges, tolerance=TRANSPORT_TOLERANCE)
-    errors = transport.numerical_error(r)
-    models = {
-        name: client.eval(
-            name, media, r, wanted=wanted,
-            tolerance=QUANTIZED_TOLERANCE if "quantized" in name else None,
-        )
+def panels_of(client: dipole.Client, eta: float) -> Iterator[Panel]:
+    media = [dipole.Medium(x / (1 + x), 1 / (1 + x), 0, eta) for x in RATIOS]
+    found = {
+        name: client.eval(name, media, RADII, wanted=["R", "albedo"], tolerance=TOLERANCES.get(name))
         for name in MODELS
-    }  # fmt: skip
-    for i, ratio in enumerate(ratios):
-        values = {name: result.R[i] for name, result in models.items()}
-        albedos = {name: float(result.albedo[i]) for name, result in models.items()}
-        R, albedo = transport.R[i], float(transport.albedo[i])
-        values |= {"transport": R, "transport_error": errors[i] * R}
-        values["transport_ring"] = rings.R[i]
-        albedos |= {"transport": albedo, "transport_error": float(errors[i, 0]) * albedo}
-        if table is not None:
-            values |= {"monte_carlo": table.R[i], "monte_carlo_error": table.R_error[i]}
-            total = table.energies[i].R
-            albedos |= {"monte_carlo": total.value, "monte_carlo_error": total.error}
-        yield Panel(ratio, eta, r, edges, values, albedos)
+    }
+    for i, ratio in enumerate(RATIOS):
+        R, albedo = ({name: getattr(one, of)[i] for name, one in found.items()} for of in ("R", "albedo"))
+        yield Panel(ratio, eta, R, albedo)
 
 
 # ---- tables --------------------------------------------------------------------------------------
@@ -142,21 +104,6 @@ def write_csv(path: Path, names: Sequence[str], rows: Iterator[Sequence[Any]]) -
         for row in rows:
             shown = (float(x) if isinstance(x, float) else x for x in row)
             writer.writerow("" if x != x else x for x in shown)
-
-
-def figure_rows(figure: int, panels: Sequence[Panel]) -> Iterator[Sequence[Any]]:
-    for p in panels:
-        for i in range(RINGS):
-            values = [p.values[name][i] if name in p.values else math.nan for name in COLUMNS]
-            yield [figure, p.ratio, p.eta, p.r[i], p.edges[i], p.edges[i + 1], *values]
-
-
-def albedo_rows(figure: int, panels: Sequence[Panel]) -> Iterator[Sequence[Any]]:
-    for p in panels:
-        for name in CURVES:
-            albedo = p.albedos.get(name, math.nan)
-            error = p.albedos.get(f"{name}_error", math.nan)
-            yield [figure, p.ratio, p.eta, name, albedo, error, albedo / p.albedos["transport"]]
 
 
 # ---- which model is nearer to transport ----------------------------------------------------------
@@ -177,7 +124,7 @@ PAIRS = [
     ("quantized+single", "better"),
     ("quantized+single", "better+single"),
 ]
-# Least and largest ratio, least and largest eta. The first group has all panels.
+# Least and largest ratio, least and largest eta.
 GROUPS = [
     (0, 100, 1, 2),
     (0, 0.011, 1, 2),
@@ -193,9 +140,9 @@ ALBEDO = (math.nan, math.nan)  # in place of a range of radii
 def deviation(panel: Panel, name: str, radii: tuple[float, float]) -> float:
     """The logarithm of the factor by which a model deviates from transport."""
     if math.isnan(radii[0]):
-        return abs(math.log(panel.albedos[name] / panel.albedos["transport"]))
-    within = (panel.r >= radii[0]) & (panel.r <= radii[1])
-    return float(np.abs(np.log(panel.values[name] / panel.values["transport"]))[within].mean())
+        return abs(math.log(panel.albedo[name] / panel.albedo["transport"]))
+    within = (RADII >= radii[0]) & (RADII <= radii[1])
+    return float(np.abs(np.log(panel.R[name] / panel.R["transport"]))[within].mean())
 
 
 def verdict(
@@ -210,18 +157,15 @@ def verdict(
 
 def summary_rows(panels: Sequence[Panel]) -> Iterator[Sequence[Any]]:
     """A row for each pair, group of panels and range of radii. For a single radius r_from and r_to
-    are equal; for the albedo they are empty. A group is named by what it holds of the ratios and
-    eta that were computed."""
-    rings = [(float(r), float(r)) for r in panels[0].r]
+    are equal; for the albedo they are empty. A group is named by what it holds."""
+    rings = [(float(r), float(r)) for r in RADII]
     for pair, group in itertools.product(PAIRS, GROUPS):
         held = [
             p
             for p in panels
-            if group[0] <= float(p.ratio) <= group[1] and group[2] <= float(p.eta) <= group[3]
+            if group[0] <= p.ratio <= group[1] and group[2] <= p.eta <= group[3]
         ]
-        if not held:
-            continue
-        ratios, etas = [float(p.ratio) for p in held], [float(p.eta) for p in held]
+        ratios, etas = [p.ratio for p in held], [p.eta for p in held]
         names = [f"{x:g}" for x in (min(ratios), max(ratios), min(etas), max(etas))]
         for radii in [ALBEDO, *RANGES, *(rings if group is GROUPS[0] else [])]:
             count, nearer, *factors = verdict(held, pair, radii)
@@ -229,58 +173,10 @@ def summary_rows(panels: Sequence[Panel]) -> Iterator[Sequence[Any]]:
             yield [*pair, *names, *radii, count, nearer, share, *(f"{x:.5g}" for x in factors)]
 
 
-# With fewer photons the errors that Monte Carlo states are too uncertain for a check.
-# ---- pages ---------------------------------------------------------------------------------------
+# ---- tissue --------------------------------------------------------------------------------------
 
-PAGE_COLUMNS, PAGE_ROWS = 4, 3
 DOT_COLOUR = "#555555"
 DOT_ERROR_MOST = 0.25  # relative standard error of R; dots with a larger one are omitted
-
-# The curves of Figures 1 to 16, and those of Figure 17: column, title, colour, dash, width.
-MODEL_LINES = [
-    ("transport", "transport", "#000000", "-", 1.2),
-    ("classical", "classical dipole", "#d55e00", "-", 1.8),
-    ("better", "better dipole", "#0072b2", "-", 1.8),
-    ("quantized", "quantized diffusion", "#009e73", "--", 1.8),
-    ("quantized+single", "quantized + single", "#cc79a7", "--", 1.8),
-]
-SWITCH_LINES = [
-    ("transport", "transport", "#000000", "-", 1.2),
-    ("classical", "classical dipole", "#d55e00", "-", 1.8),
-    ("grosjean", "Grosjean D alone", "#56b4e9", "--", 1.8),
-    ("exitance", "exitance alone", "#009e73", "--", 1.8),
-    ("boundary", "boundary alone", "#e69f00", "--", 1.8),
-    ("better", "all: better dipole", "#0072b2", "-", 1.8),
-]
-SWITCH_RATIOS, SWITCH_ETAS = ["0.01", "0.1", "1"], ["1.0", "1.3", "2.0"]
-
-
-class Page(NamedTuple):
-    figure: int
-    title: str
-    lines: list[tuple[str, str, str, str, float]]
-    cells: dict[int, Panel]  # cells in row order; the last one holds the legend
-
-
-def pages_of(panels: dict[tuple[str, str], Panel]) -> Iterator[Page]:
-    for number, ratio in enumerate(RATIOS):
-        cells = {i: panels[ratio, eta] for i, eta in enumerate(ETAS) if (ratio, eta) in panels}
-        yield Page(number + 1, f"Figure {number + 1}, σa / σs′ = {ratio}", MODEL_LINES, cells)
-    cells = {
-        row * PAGE_COLUMNS + column: panels[ratio, eta]
-        for column, eta in enumerate(SWITCH_ETAS)
-        for row, ratio in enumerate(SWITCH_RATIOS)
-        if (ratio, eta) in panels
-    }
-    yield Page(len(RATIOS) + 1, "Figure 17, the switches of the dipole", SWITCH_LINES, cells)
-
-
-def set_logarithmic(page: Page, axes: plt.Axes) -> None:
-    R = np.array([p.values["transport"] for p in page.cells.values()])
-    top = math.ceil(math.log10(R.max()))
-    bottom = max(math.floor(math.log10(R.min())), top - 14)
-    axes.set(xscale="log", yscale="log", ylim=(10.0**bottom, 10.0**top))
-    axes.set_xlim(EDGES.start_mm, EDGES.stop_mm)
 
 
 def draw_dots(axes: plt.Axes, r: np.ndarray, values: np.ndarray, error: np.ndarray) -> None:
@@ -292,42 +188,6 @@ def draw_dots(axes: plt.Axes, r: np.ndarray, values: np.ndarray, error: np.ndarr
         label="Monte Carlo, ± 1 standard error",
     )  # fmt: skip
 
-
-def draw_panel(axes: plt.Axes, page: Page, panel: Panel) -> None:
-    """A panel's curves, and its albedos as text."""
-    labels = [(f"{line[1]} {panel.albedos[line[0]]:.4g}", line[2]) for line in page.lines]
-    set_logarithmic(page, axes)
-    for name, title, colour, dash, width in page.lines:
-        R = np.where(panel.values[name] > 0, panel.values[name], math.nan)
-        axes.plot(panel.r, R, dash, lw=width, color=colour, label=title, gid=f"curve {name}")
-    if "monte_carlo" in panel.values:
-        total, error = panel.albedos["monte_carlo"], panel.albedos["monte_carlo_error"]
-        labels.insert(0, (f"Monte Carlo {total:.4g} ± {error:.1g}", DOT_COLOUR))
-        # Transport's ratio of the two turns ring means into values at the rings' middles.
-        move = panel.values["transport"] / panel.values["transport_ring"]
-        R, error = panel.values["monte_carlo"] * move, panel.values["monte_carlo_error"] * move
-        draw_dots(axes, panel.r, R, error)
-    of_switches = f", σa / σs′ = {panel.ratio}" if page.lines is SWITCH_LINES else ""
-    axes.set_title(f"η = {panel.eta}{of_switches}")
-    for row, (text, colour) in enumerate(labels):  # from the corner that the curves leave free
-        axes.text(0.03, 0.05 + 0.055 * row, text, color=colour, size=7, transform=axes.transAxes)
-
-
-def draw(path: Path, page: Page) -> None:
-    figure, grid = plt.subplots(PAGE_ROWS, PAGE_COLUMNS, figsize=(17, 12.5), layout="constrained")
-    figure.suptitle(f"{page.title}: R per squared mean free path")
-    figure.supxlabel("r (mean free paths)")
-    for cell, axes in enumerate(grid.flat):
-        if cell in page.cells:
-            draw_panel(axes, page, page.cells[cell])
-        else:
-            axes.axis("off")
-    handles = grid.flat[min(page.cells)].get_legend_handles_labels()
-    grid.flat[-1].legend(*handles, loc="upper left", fontsize=11)
-    save(figure, path)
-
-
-# ---- tissue --------------------------------------------------------------------------------------
 
 TISSUE = dipole.Medium(0.05, 10.0, 0.9, 1.4)
 TISSUE_EDGES = dipole.Grid(0.01, 20.0, 33, "logarithmic")  # mm
@@ -348,7 +208,7 @@ def tissue_columns(client: dipole.Client, photons: int, kept: Path) -> dict[str,
     columns |= {"monte_carlo": walked.R[0], "monte_carlo_error": walked.R_error[0]}
     names = "transport similarity better classical".split()
     for name, (model, medium, *_) in zip(names, TISSUE_LINES):
-        columns[name] = client.ring_means(model, medium, edges, evaluator="lut").R[0]
+        columns[name] = ring_means(client, model, medium, edges, evaluator="lut")
     return columns
 
 
@@ -397,7 +257,7 @@ def layers_columns(
     slab = {"r": np.sqrt(edges[1:] * edges[:-1]), "ring_from": edges[:-1], "ring_to": edges[1:]}
     for name, side, model in (("R", 0, "multipole"), ("T", 1, "multipole-transmitted")):
         slab |= {f"{name}": walked.values[0, side], f"{name}_error": walked.errors[0, side]}
-        slab[f"{name} {model}"] = client.ring_means(model, SLAB, edges).R[0]
+        slab[f"{name} {model}"] = ring_means(client, model, SLAB, edges)
     return skin, slab
 
 
@@ -424,78 +284,27 @@ def draw_layers(path: Path, skin: dict[str, np.ndarray], slab: dict[str, np.ndar
 # ---- all of it -----------------------------------------------------------------------------------
 
 
-def some_of(known: Sequence[str]) -> Any:
-    """A reader of names, separated by commas."""
-
-    def read(text: str) -> list[str]:
-        for name in text.split(","):
-            if name not in known:
-                raise argparse.ArgumentTypeError(f"{name} is none of {' '.join(known)}")
-        return [name for name in known if name in text.split(",")]
-
-    return read
-
-
-def photons_of(text: str) -> int:
-    if not text.isdecimal() or int(text) > 10**10:
-        raise argparse.ArgumentTypeError(f"{text}: a whole number up to 1e10 is needed")
-    return int(text)
-
-
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    for name, kind, usual, argument, text in (
-        ("--output", Path, Path("build/figures"), "DIR", "folder for figures and data"),
-        ("--photons", photons_of, 16_000_000, "N", "photons for each eta; 0: no Monte Carlo"),
-        ("--tissue-photons", photons_of, 40_000_000, "N", "photons for tissue; 0: no figure of it"),
-        ("--ratios", some_of(RATIOS), RATIOS, "LIST", "ratios sigma_a / sigma_s', such as 0.01,1"),
-        ("--etas", some_of(ETAS), ETAS, "LIST", "values of eta, such as 1.0,1.4"),
-    ):
-        text += " (default: all)" if argument == "LIST" else " (default: %(default)s)"
-        parser.add_argument(name, type=kind, default=usual, metavar=argument, help=text)
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--output", type=Path, default=Path("build/figures"), help="folder for figures and data")
+    parser.add_argument("--photons", type=int, default=40_000_000, help="for tissue and for a slab")
     options = parser.parse_args()
     parts = options.output / "parts"
     parts.mkdir(parents=True, exist_ok=True)
-    panels: dict[tuple[str, str], Panel] = {}
-    which = "all" if options.ratios == RATIOS else "_".join(options.ratios)
     with dipole.Client(timeout_s=None) as client:
-        for eta in options.etas:
-            kept = parts / f"walk_eta_{eta}_photons_{options.photons}_ratios_{which}"
-            table = None
-            if options.photons > 0:
-                first = media_of(options.ratios, eta)[0]
-                albedos = [1 / (1 + float(ratio)) for ratio in options.ratios]
-                seed = SEED + ETAS.index(eta)
-                how = {"albedos": albedos, "seed": seed}
-                table = walk(client, first, EDGES, f"eta {eta}", options.photons, kept, **how)
-            for panel in panels_of(client, options.ratios, eta, table):
-                panels[panel.ratio, eta] = panel
-        if options.tissue_photons > 0:
-            kept = parts / f"walk_tissue_photons_{options.tissue_photons}"
-            columns = tissue_columns(client, options.tissue_photons, kept)
-            write_csv(options.output / "tissue.csv", list(columns), zip(*columns.values()))
-            draw_tissue(options.output / "tissue.svg", columns)
-            kept = parts / f"walk_slab_photons_{options.tissue_photons}"
-            skin, slab = layers_columns(client, options.tissue_photons, kept)
-            for name, table in (("layers", skin), ("slab", slab)):
-                write_csv(options.output / f"{name}.csv", list(table), zip(*table.values()))
-            draw_layers(options.output / "layers.svg", skin, slab)
-    for page in (page for page in pages_of(panels) if page.cells):
-        name, shown = f"figure_{page.figure:02}", list(page.cells.values())
-        draw(options.output / f"{name}.svg", page)
-        names = ["figure", "ratio", "eta", "r", "ring_from", "ring_to", *COLUMNS]
-        write_csv(options.output / f"{name}.csv", names, figure_rows(page.figure, shown))
-        names = "figure ratio eta curve albedo error relative_to_transport".split()
-        rows = albedo_rows(page.figure, shown)
-        write_csv(options.output / f"{name}_albedos.csv", names, rows)
-    wanted = [panels[ratio, eta] for ratio in options.ratios for eta in options.etas]
+        panels = [one for eta in ETAS for one in panels_of(client, eta)]
+        columns = tissue_columns(client, options.photons, parts / f"walk_tissue_photons_{options.photons}")
+        kept = parts / f"walk_slab_photons_{options.photons}"
+        skin, slab = layers_columns(client, options.photons, kept)
+    for name, table in (("tissue", columns), ("layers", skin), ("slab", slab)):
+        write_csv(options.output / f"{name}.csv", list(table), zip(*table.values()))
+    draw_tissue(options.output / "tissue.svg", columns)
+    draw_layers(options.output / "layers.svg", skin, slab)
     names = (
         "model against ratio_from ratio_to eta_from eta_to r_from r_to panels nearer share "
         "model_median against_median model_worst against_worst"
     ).split()
-    write_csv(options.output / "summary.csv", names, summary_rows(wanted))
+    write_csv(options.output / "summary.csv", names, summary_rows(panels))
 
 
 if __name__ == "__main__":

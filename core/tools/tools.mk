@@ -12,7 +12,7 @@ $(BUILD)/picture: $(OBJ)/clients/c/examples/picture.o $(BUILD)/libdipole.a
 $(BUILD)/picture: LIBS = $(TLS_LIBS)
 PROGRAMS += $(addprefix $(BUILD)/,transport-table apertures picture)
 
-.PHONY: tables reference tradeoff apertures figures picture gather-figure fit-bias colour-errors colour-furnace
+.PHONY: tables reference tradeoff apertures figures picture gather-figure colour-errors colour-furnace
 
 # On a machine that does little else: it times what is chosen by cost.
 tradeoff: ## speed against accuracy, in build/tradeoff, and core/costs.def (minutes)
@@ -36,7 +36,7 @@ apertures: $(BUILD)/apertures ## core/fit/aperture.table and its errors, solved 
 reference: $(BUILD)/dipoled ## core/transport/reference.csv, R(r) for many g, solved anew (an hour)
 	DIPOLED=private:$(BUILD)/dipoled $(PYTHON) core/tools/reference.py core/transport/reference.csv
 
-figures: ## Figures 1 to 17 of d'Eon 2012 and one of tissue, in build/figures (ten minutes)
+figures: ## pictures of tissue and layers, and which model is nearer to transport, in build/figures (minutes)
 	@sh .ci/install-packages demo figures
 	@$(MAKE) --no-print-directory -j2 $(BUILD)/dipoled $(BUILD)/dipole
 	DIPOLED=private:$(BUILD)/dipoled $(PYTHON) core/tools/figures.py --output $(BUILD)/figures $(FIGURES_OPTIONS)
@@ -69,8 +69,3 @@ colour-furnace: ## a figure of the colours in Debian's Blender (minutes, 500 MB 
 	@mkdir -p $(BUILD)/colour-furnace
 	TESTED_BUILD=$(abspath $(BUILD)) PYTHONPATH=clients/python:tests/e2e $(PYTHON) tests/blender/test_furnace.py $(BUILD)/colour-furnace/furnace.svg
 	cp $(BUILD)/colour-furnace/furnace.svg core/tools/
-
-fit-bias: ## what diffusion models make of readings, beside transport: a table and a figure
-	@sh .ci/install-packages demo figures
-	@$(MAKE) --no-print-directory -j2 $(BUILD)/dipoled
-	DIPOLED=private:$(BUILD)/dipoled $(PYTHON) core/tools/fit_bias.py $(BUILD)/figures

@@ -1,9 +1,9 @@
-"""`make figures`: some of the figures, how a run resumes, and what the figures say about the
-models."""
+"""`make figures`: what it draws, how a run resumes, and what it says about the models; `make tradeoff`."""
 
 from __future__ import annotations
 
 import csv
+import math
 import os
 import subprocess
 import sys
@@ -14,30 +14,20 @@ from daemons import BUILD
 from pictures import svg_texts
 
 PROGRAM = Path(__file__).resolve().parents[2] / "core" / "tools" / "figures.py"
+
 TIMEOUT_S = 240
-RINGS = 64
-RATIOS, ETAS = ["0.01", "1"], ["1.0", "1.3", "2.0"]
-SELECTION = ["--ratios", ",".join(RATIOS), "--etas", ",".join(ETAS), "--photons", "120000"]
-TISSUE = ["--tissue-photons", "100000"]
 
 
-def draw(folder: Path, *options: str, status: int = 0) -> subprocess.CompletedProcess[str]:
+def draw(folder: Path) -> None:
     run = subprocess.run(
-        [*(sys.executable, str(PROGRAM), "--output", str(folder)), *TISSUE, *options],
+        [sys.executable, str(PROGRAM), "--output", str(folder), "--photons", "100000"],
         env=os.environ | {"DIPOLED": f"private:{BUILD}/dipoled"},
         capture_output=True,
         text=True,
         timeout=TIMEOUT_S,
         check=False,
     )
-    assert run.returncode == status, run.stderr
-    assert status != 0 or run.stderr == ""
-    return run
-
-
-def rows_of(path: Path) -> list[dict[str, str]]:
-    with path.open(newline="") as file:
-        return list(csv.DictReader(file))
+    assert (run.returncode, run.stderr) == (0, "")
 
 
 def parts(folder: Path) -> dict[str, tuple[int, bytes]]:
@@ -50,69 +40,44 @@ def parts(folder: Path) -> dict[str, tuple[int, bytes]]:
 @pytest.fixture(scope="module")
 def drawn(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("figures") / "out"
-    draw(folder, *SELECTION)
+    draw(folder)
     return folder
 
 
-# ---- what a run leaves ---------------------------------------------------------------------------
-
-
-def test_pages(drawn):
-    """Only figures that have wanted panels."""
-    sizes = {"07": (3, 5), "13": (3, 5), "17": (6, 6)}
-    names = {f"figure_{n}.svg": n for n in sizes}
-    assert {path.name for path in drawn.glob("*.svg")} == {*names, "tissue.svg", "layers.svg"}
+def test_pictures(drawn):
+    assert {path.name for path in drawn.glob("*.svg")} == {"tissue.svg", "layers.svg"}
     assert not list(drawn.rglob("*.part"))
-    for name, figure in names.items():
-        panels, curves = sizes[figure]
-        texts = [text.strip() for text in svg_texts(drawn / name)]
-        # The label of Monte Carlo and of transport has the albedo of the medium.
-        for start in ("η = ", "Monte Carlo 0.", "transport 0."):
-            assert sum(text.startswith(start) for text in texts) == panels
-        assert (drawn / name).read_text().count('<g id="curve ') == panels * curves
+    with (drawn / "slab.csv").open(newline="") as file:
+        rows = [{name: float(x) for name, x in row.items()} for row in csv.DictReader(file)]
+    near = [row for row in rows if 1 < row["r"] < 4]  # mm: there multipoles are near
+    assert all(abs(math.log(row["R multipole"] / row["R"])) < 0.3 for row in near) and len(near) > 5
 
 
-def test_tables(drawn):
-    for figure, ratio in (("07", "0.01"), ("13", "1")):
-        rows = rows_of(drawn / f"figure_{figure}.csv")
-        assert [(row["ratio"], row["eta"]) for row in rows[::RINGS]] == [(ratio, e) for e in ETAS]
-        assert len(rows) == RINGS * len(ETAS)
-        for row in rows:
-            assert float(row["ring_from"]) < float(row["r"]) < float(row["ring_to"])
-            assert float(row["transport_error"]) < 2e-5 * float(row["transport"])
-        albedos = rows_of(drawn / f"figure_{figure}_albedos.csv")
-        for row in albedos:
-            assert 0 < float(row["albedo"]) < 1
-            if row["curve"] == "monte_carlo":
-                assert abs(float(row["relative_to_transport"]) - 1) < 0.03
-                assert 0 < float(row["error"]) < 0.01
-
-
-# ---- resuming ------------------------------------------------------------------------------------
+def test_summary(drawn):
+    """What core/MODELS.md quotes: in how many of 176 panels which model is nearer, and by how much."""
+    with (drawn / "summary.csv").open(newline="") as file:
+        rows = [row for row in csv.DictReader(file) if row["panels"] == "176"]
+    single = {"model": "better+single", "against": "classical+single"}
+    for which, radii, quoted in (
+        (single, ("0.01", "0.1"), (20, 1.11, 1.05)),
+        (single, ("0.1", "1"), (153, 1.17, 1.45)),
+        ({"model": "better", "against": "classical"}, ("1", "5"), (139, 1.20, 1.42)),
+        ({"model": "better", "against": "classical"}, ("5", "20.0"), (147, 1.07, 1.37)),
+    ):
+        [row] = [row for row in rows if row | which == row and (row["r_from"], row["r_to"]) == radii]
+        found = [float(row[name]) for name in ("nearer", "model_median", "against_median")]
+        assert found == pytest.approx(quoted, abs=0.006)
 
 
 def test_second_run_walks_what_is_missing(drawn):
     before = parts(drawn)
-    walks = {f"walk_eta_{eta}_photons_120000_ratios_0.01_1" for eta in ETAS}
-    assert set(before) == walks | {f"walk_{one}_photons_100000" for one in ("tissue", "slab")}
-    lost, damaged = (f"walk_eta_{eta}_photons_120000_ratios_0.01_1" for eta in ETAS[1:])
-    (drawn / "parts" / lost).unlink()
+    damaged, kept = (f"walk_{one}_photons_100000" for one in ("tissue", "slab"))
+    assert set(before) == {damaged, kept}
     (drawn / "parts" / damaged).write_bytes(before[damaged][1][:-100])
-    draw(drawn, *SELECTION)
+    draw(drawn)
     after = parts(drawn)
-    assert {name: content for name, (_, content) in after.items()} == {
-        name: content for name, (_, content) in before.items()
-    }
-    assert {name for name in before if after[name][0] != before[name][0]} == {lost, damaged}
-    # Another number of photons is another walk.
-    draw(drawn, "--ratios", "1", "--etas", "1.0", "--photons", "8000")
-    assert set(parts(drawn)) - set(after) == {"walk_eta_1.0_photons_8000_ratios_1"}
-
-
-def test_wrong_options(tmp_path):
-    for options, said in ((["--ratios", "0.3"], "0.3 is none of 0.0001"), (["--photons", "-1"], "--ph")):
-        assert said in draw(tmp_path / "out", *options, status=2).stderr
-        assert not (tmp_path / "out").exists()
+    assert {name for name in before if after[name][0] != before[name][0]} == {damaged}
+    assert after[damaged][1] == before[damaged][1]
 
 
 # ---- `make tradeoff` -----------------------------------------------------------------------------
