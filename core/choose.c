@@ -63,57 +63,40 @@ static bool is_taken(const core_choose_request *request) {
   return taken;
 }
 
-/* Returns the error that is added to the numerical error, beyond the reach and for anisotropic
- * scattering. */
-static double added_error(const core_choose_request *request) {
-  double error = 0;
+/* The largest errors of the media of a request. */
+struct media_errors {
+  double table; /* of R in the table of solutions; INFINITY if that does not cover one of them */
+  double added; /* besides, beyond the reach and for anisotropic scattering */
+  double slope; /* of dR/dr in the table; 0 if it is not wanted */
+  double ln_R;  /* the bound 8 epsilon |ln R| that core/core.h adds; 0 if ln R is not wanted */
+};
+
+/* Within 20 mean free paths of any medium that was measured, R is above e^-64 per squared mean free
+ * path. Beyond, ln R falls by at most 1 per mean free path. */
+static struct media_errors media_errors_of(const core_choose_request *request) {
+  const double epsilon = request->single ? (double)FLT_EPSILON : DBL_EPSILON;
+  const double most_mm = request->radii.most_mm;
+  struct media_errors errors = {0};
   for (size_t i = 0; i < request->media_count; i++) {
     const core_medium *medium = medium_at(request, i);
-    const double most_mm = (request->wanted & FOLLOWS_R) != 0 ? request->radii.most_mm : 0;
+    const bool stored = is_half_space(medium) && core_transport_is_stored(medium);
+    const double table = stored ? core_transport_table_error(medium) : (double)INFINITY;
+    const double beyond = core_error_beyond(core_transport_reach(medium),
+                                            (request->wanted & FOLLOWS_R) != 0 ? most_mm : 0);
     core_added_errors added;
     core_transport_added_errors(medium, &added);
-    error = fmax(error, core_error_beyond(core_transport_reach(medium), most_mm) +
-                            core_banded_error(added.banded, added.all, medium, request->wanted,
-                                              request->radii));
+    errors.table = fmax(errors.table, table);
+    errors.added = fmax(errors.added, beyond + core_banded_error(added.banded, added.all, medium,
+                                                                 request->wanted, request->radii));
+    if ((request->wanted & CORE_QUANTITY_SLOPE) != 0) {
+      errors.slope = fmax(errors.slope, core_transport_slope_error(medium->g) + DBL_EPSILON);
+    }
+    if ((request->wanted & CORE_QUANTITY_LN_R) != 0) {
+      const double ln_R = 64 + 64 + most_mm * core_sigma_t_prime(medium);
+      errors.ln_R = fmax(errors.ln_R, 8 * epsilon * ln_R);
+    }
   }
-  return error;
-}
-
-/* Returns the bound 8 epsilon |ln R| that core/core.h adds to the error of ln R. Within 20 mean
- * free paths of any medium that was measured, R is above e^-64 per squared mean free path. Beyond,
- * ln R falls by at most 1 per mean free path. */
-static double logarithm_error(const core_choose_request *request) {
-  double ln_R = 0;
-  if ((request->wanted & CORE_QUANTITY_LN_R) == 0) {
-    return 0;
-  }
-  for (size_t i = 0; i < request->media_count; i++) {
-    ln_R = fmax(ln_R, 64 + 64 + request->radii.most_mm * core_sigma_t_prime(medium_at(request, i)));
-  }
-  return 8 * (request->single ? (double)FLT_EPSILON : DBL_EPSILON) * ln_R;
-}
-
-/* Returns the largest error of R in the table of solutions over all media; INFINITY if the table
- * does not cover one of them. */
-static double table_error(const core_choose_request *request) {
-  double error = 0;
-  for (size_t i = 0; i < request->media_count; i++) {
-    const core_medium *medium = medium_at(request, i);
-    error = fmax(error, is_half_space(medium) && core_transport_is_stored(medium)
-                            ? core_transport_table_error(medium)
-                            : (double)INFINITY);
-  }
-  return error;
-}
-
-/* Returns the error of dR/dr in the table for all media, or 0 if it is not wanted. */
-static double slope_error(const core_choose_request *request) {
-  double error = 0;
-  for (size_t i = 0; i < request->media_count && (request->wanted & CORE_QUANTITY_SLOPE) != 0;
-       i++) {
-    error = fmax(error, core_transport_slope_error(medium_at(request, i)->g));
-  }
-  return error > 0 ? error + DBL_EPSILON : 0;
+  return errors;
 }
 
 /* Rounding adds to the tolerance and to the error of the table. */
@@ -126,18 +109,17 @@ static double slope_error(const core_choose_request *request) {
 /* Sets the parameter `tolerance` of the preparation, and the numerical error. left: the largest
  * value allowed for that error. */
 static void set_numerical_error(core_candidate *candidate, const core_choose_request *request,
-                                double left) {
+                                const struct media_errors *errors, double left) {
   const bool lut = candidate->evaluator == CORE_EVALUATOR_LUT;
   const double rounding = request->single && !lut ? ROUNDING_F32 : 0;
-  const double of_table = table_error(request);
+  const double of_table = errors->table;
   const double least = fmax(CORE_LUT_TOLERANCE_MIN, 2 * of_table);
   const double tolerance = fmin(fmax(left * BELOW, least), LOOSE);
-  const double of_slope = slope_error(request);
   candidate->looked_up = true;
   candidate->numerical_tolerance = lut ? tolerance : (double)NAN;
   candidate->numerical_error = isinf(of_table) ? (double)INFINITY
-                               : lut           ? fmax(tolerance, of_slope)
-                                               : rounding + fmax(of_table + DBL_EPSILON, of_slope);
+                               : lut           ? fmax(tolerance, errors->slope)
+                                     : rounding + fmax(of_table + DBL_EPSILON, errors->slope);
 }
 
 /* Errors of the cdf, of the quantities that follow from it, and of dR/dr, over the error of R: see
@@ -231,16 +213,18 @@ void core_offer(core_candidate *candidate, const core_choose_request *request, u
 
 /* ---- choosing -------------------------------------------------------------------------------- */
 
-/* Returns transport by the table of solutions, whose error is INFINITY if that lacks a medium. */
-static core_candidate look_up(const core_choose_request *request, enum core_evaluator evaluator) {
+/* Returns transport by the table of solutions, whose error is INFINITY if that lacks a medium.
+ * errors: NULL if transport is not valid for the media. */
+static core_candidate look_up(const core_choose_request *request, enum core_evaluator evaluator,
+                              const struct media_errors *errors) {
   core_candidate candidate = {.model = CORE_MODEL_TRANSPORT,
                               .evaluator = evaluator,
                               .numerical_tolerance = (double)NAN,
                               .left = (double)NAN,
                               .numerical_error = (double)INFINITY};
-  if (is_taken(request)) {
-    const double besides = logarithm_error(request) + added_error(request);
-    set_numerical_error(&candidate, request, request->tolerance - besides);
+  if (errors != NULL) {
+    const double besides = errors->ln_R + errors->added;
+    set_numerical_error(&candidate, request, errors, request->tolerance - besides);
     candidate.numerical_error += besides;
   }
   finish_candidate(&candidate, request);
@@ -249,19 +233,23 @@ static core_candidate look_up(const core_choose_request *request, enum core_eval
 
 /* Returns transport by the table, or solved if the table misses the tolerance. */
 static core_candidate make_candidate(const core_choose_request *request,
-                                     enum core_evaluator evaluator) {
-  core_candidate candidate = look_up(request, evaluator);
-  if (!candidate.meets && evaluator != CORE_EVALUATOR_LUT && is_taken(request)) {
-    const double of_ln_R = logarithm_error(request);
-    set_solved(&candidate, request, request->tolerance * BELOW - of_ln_R);
-    candidate.numerical_error += candidate.looked_up ? 0 : of_ln_R;
+                                     enum core_evaluator evaluator,
+                                     const struct media_errors *errors) {
+  core_candidate candidate = look_up(request, evaluator, errors);
+  if (!candidate.meets && evaluator != CORE_EVALUATOR_LUT && errors != NULL) {
+    set_solved(&candidate, request, request->tolerance * BELOW - errors->ln_R);
+    candidate.numerical_error += candidate.looked_up ? 0 : errors->ln_R;
     finish_candidate(&candidate, request);
   }
   return candidate;
 }
 
 double core_choose_stored_error(const core_choose_request *request) {
-  return look_up(request, request->single ? CORE_EVALUATOR_F32 : CORE_EVALUATOR_F64).error;
+  const bool taken = is_taken(request);
+  const struct media_errors errors = taken ? media_errors_of(request) : (struct media_errors){0};
+  return look_up(request, request->single ? CORE_EVALUATOR_F32 : CORE_EVALUATOR_F64,
+                 taken ? &errors : NULL)
+      .error;
 }
 
 /* Returns whether candidate `one` is preferred to `other`. */
@@ -276,12 +264,15 @@ size_t core_choose(const core_choose_request *request,
   if (request->media_count == 0) {
     return 0;
   }
+  const bool taken = is_taken(request);
+  const struct media_errors found = taken ? media_errors_of(request) : (struct media_errors){0};
+  const struct media_errors *errors = taken ? &found : NULL;
   if (!request->single) {
-    candidates[0] = make_candidate(request, CORE_EVALUATOR_F64);
+    candidates[0] = make_candidate(request, CORE_EVALUATOR_F64, errors);
     return 1;
   }
-  const core_candidate f32 = make_candidate(request, CORE_EVALUATOR_F32);
-  const core_candidate lut = make_candidate(request, CORE_EVALUATOR_LUT);
+  const core_candidate f32 = make_candidate(request, CORE_EVALUATOR_F32, errors);
+  const core_candidate lut = make_candidate(request, CORE_EVALUATOR_LUT, errors);
   const bool table_first = is_better(&lut, &f32);
   candidates[0] = table_first ? lut : f32;
   candidates[1] = table_first ? f32 : lut;

@@ -223,8 +223,6 @@ static inline real real_log(real x, real exponent) {
 
 #define CORE_PASTE5_(a, b, c, d, e) a##b##c##d##e
 #define CORE_PASTE5(a, b, c, d, e) CORE_PASTE5_(a, b, c, d, e)
-#define CORE_PASTE2_(a, b) a##b
-#define CORE_PASTE2(a, b) CORE_PASTE2_(a, b)
 
 /* CORE_KERNEL_TABLE(family, ...) defines the table of kernels, the only symbol that the object
  * exports. */

@@ -20,6 +20,9 @@
 #define CORE_ISA_INDEX(level, unused) CORE_ISA_INDEX_##level,
 enum { CORE_ISA_LEVELS(CORE_ISA_INDEX, ) CORE_ISA_COUNT };
 
+#define CORE_PASTE2_(a, b) a##b
+#define CORE_PASTE2(a, b) CORE_PASTE2_(a, b)
+
 /* CORE_ISA_TABLE(type, name) defines name_of[], the objects name_<level> of each instruction set, by
  * core_isa.index. */
 #define CORE_ISA_DECLARE(level, type, name) extern const type name##_##level;

@@ -3,6 +3,7 @@
 
 #include <math.h>
 
+#include "core/kernels.h"
 #include "core/lut/piece.h"
 
 #ifdef __AVX512F__
@@ -377,11 +378,8 @@ static uint64_t look_up_close(const float *restrict table, const gather_pieces *
 #define look_up_close NULL
 #endif
 
-#define PASTE_(a, b) a##b
-#define PASTE(a, b) PASTE_(a, b)
-
 /* The only symbol with external linkage, one for each instruction set. */
-extern const gather_loops PASTE(gather_loops_, CORE_ISA);
-const gather_loops PASTE(gather_loops_, CORE_ISA) = {
+extern const gather_loops CORE_PASTE2(gather_loops_, CORE_ISA);
+const gather_loops CORE_PASTE2(gather_loops_, CORE_ISA) = {
     view,      error, pair,        distances,       narrow,    widen,           sum,
     sum_pairs, total, close_pairs, close_distances, add_close, add_close_pairs, look_up_close};

@@ -161,20 +161,13 @@ static void launch_into(core_mc_batch *batch, const walk_functions *functions, s
   batch->launched++;
 }
 
+/* All numbers of a lane have four bytes. */
 static void move_lane(walk_lanes *lanes, size_t to, size_t from) {
-  lanes->x[to] = lanes->x[from];
-  lanes->y[to] = lanes->y[from];
-  lanes->z[to] = lanes->z[from];
-  lanes->ux[to] = lanes->ux[from];
-  lanes->uy[to] = lanes->uy[from];
-  lanes->uz[to] = lanes->uz[from];
-  lanes->collisions[to] = lanes->collisions[from];
-  lanes->last[to] = lanes->last[from];
-  lanes->photon[to] = lanes->photon[from];
-  lanes->fate[to] = lanes->fate[from];
-  lanes->layer[to] = lanes->layer[from];
-  lanes->collided[to] = lanes->collided[from];
-  lanes->weight[to] = lanes->weight[from];
+  enum { ROW = WALK_LANES * sizeof(float) };
+  _Static_assert(sizeof(walk_lanes) % ROW == 0, "rows of numbers of four bytes");
+  for (char *row = (char *)lanes; row < (char *)(lanes + 1); row += ROW) {
+    memcpy(row + to * sizeof(float), row + from * sizeof(float), sizeof(float));
+  }
 }
 
 /* Moves the lanes still in use to the front. This happens when no photons are left to launch, so

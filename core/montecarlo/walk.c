@@ -444,9 +444,6 @@ static void launch(const walk_medium *medium, uint64_t first, walk_launch *restr
   }
 }
 
-#define WALK_PASTE_(a, b) a##b
-#define WALK_PASTE(a, b) WALK_PASTE_(a, b)
-
 /* The only symbol with external linkage. */
-extern const walk_functions WALK_PASTE(walk_functions_, CORE_ISA);
-const walk_functions WALK_PASTE(walk_functions_, CORE_ISA) = {launch, step_any};
+extern const walk_functions CORE_PASTE2(walk_functions_, CORE_ISA);
+const walk_functions CORE_PASTE2(walk_functions_, CORE_ISA) = {launch, step_any};

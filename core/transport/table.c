@@ -554,12 +554,11 @@ static void add_difference(const struct part *part, double albedo, double g, dou
   transport_difference *difference = &series->difference;
   double of_u[TERMS_MAX];
   polynomials_of_u(part->field, albedo, of_u);
-  difference->kappa_isotropic = transport_kappa(albedo);
-  transport_table_edges(part->field, true, difference->kappa_isotropic, difference->edge);
+  transport_table_edges(part->field, true, transport_kappa(albedo), difference->edge);
   sum_panels(part, of_u, difference->terms, difference->term);
   end_difference(difference);
   series->g = g;
-  series->kappa = difference->kappa = kappa;
+  series->kappa = kappa;
   series->total = sum_total(part, 0, of_u, albedo);
 }
 
@@ -731,23 +730,6 @@ static double beyond_reach(const transport_difference *difference, double y) {
              : 0;
 }
 
-double transport_difference_at(const transport_difference *difference, double y) {
-  const double x = fn_exp(y);
-  return sum_at(difference->edge, difference->terms, difference->term, y) +
-         beyond_reach(difference, y) +
-         fn_log((1 + difference->kappa * x) / (1 + difference->kappa_isotropic * x));
-}
-
-double transport_series_at(const transport_series *series, double y) {
-  const double *edge = series->edge;
-  const bool isotropic = series->g == 0;
-  assert(y >= edge[0] - 1e-9 && y <= edge[PANELS] + 1e-9);
-  const double q = sum_at(edge, series->terms, series->term, y);
-  const double kappa = isotropic ? series->kappa : series->difference.kappa_isotropic;
-  const double sum = q + series->ln_albedo + fn_log(1 + kappa * fn_exp(y));
-  return isotropic ? sum : sum + transport_difference_at(&series->difference, y);
-}
-
 enum { TOGETHER = 8 }; /* number of sums evaluated in parallel, to hide latency */
 
 /* Adds the series at each y[i] to the sums; the y ascend. */
@@ -789,4 +771,8 @@ void transport_series_Q(const transport_series *series, size_t n, const double *
       Q[i] += beyond_reach(difference, y[i]);
     }
   }
+}
+
+double transport_series_at(const transport_series *series, double y) {
+  return Q_of(series, y) + series->ln_albedo + fn_log(1 + series->kappa * fn_exp(y));
 }

@@ -175,18 +175,11 @@ double transport_table_total_error(const transport_table *table, double g);
 /* By how much a medium differs from the one with the same albedo and eta that scatters
  * isotropically: Chebyshev series in ln x. */
 typedef struct transport_difference {
-  double kappa;                            /* decay rate of the medium, per mean free path */
-  double kappa_isotropic;                  /* decay rate of the isotropic medium */
   double edge[TRANSPORT_TABLE_PANELS + 1]; /* edges of the panels, in ln x */
   size_t terms[TRANSPORT_TABLE_PANELS];
   double term[TRANSPORT_TABLE_PANELS][TRANSPORT_TABLE_TERMS_MAX];
   double last_slope; /* slope by ln x at the last edge */
 } transport_difference;
-
-/* Returns what has to be added to L_0 = ln(x R_0) + kappa_isotropic x, where R_0 is of the isotropic
- * medium, in order to get ln(x R) + kappa x of the medium, at y = ln x for any y. So R_0 may come
- * from the table or from the solver. */
-double transport_difference_at(const transport_difference *difference, double y);
 
 /* One medium of the table: Chebyshev series in ln x of isotropic scattering, and the difference. */
 typedef struct transport_series {
@@ -227,8 +220,7 @@ typedef struct transport_slice_sums {
 } transport_slice_sums;
 transport_slice_sums transport_slice_total(const transport_slice *slice, double albedo);
 
-/* Returns ln(x R) + kappa x at y = ln x, for y from the first edge to the last (asserted, up to
- * rounding). */
+/* Returns ln(x R) + kappa x at y = ln x. */
 double transport_series_at(const transport_series *series, double y);
 
 /* Sets Q[i] to Q with the medium's own kappa at y[i] = ln x, in ascending order, for any y: the part
