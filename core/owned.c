@@ -13,7 +13,7 @@ size_t core_profile_bytes(const core_profile *profile) {
     bytes += sizeof profile->parts[i] + core_profile_bytes(&profile->parts[i]);
   }
   const core_modulation *modulation = profile->modulation;
-  for (unsigned i = 0; modulation != NULL && i < modulation->count; i++) {
+  for (unsigned i = 0; modulation != NULL && i < modulation->nodes.count; i++) {
     bytes += core_profile_bytes(&modulation->node[i]);
   }
   return bytes + (modulation != NULL ? sizeof *modulation : 0);
@@ -36,7 +36,7 @@ void core_profile_free(core_profile *profile) {
     profile->parts = NULL;
   }
   if (profile->modulation != NULL) {
-    for (unsigned i = 0; i < profile->modulation->count; i++) {
+    for (unsigned i = 0; i < profile->modulation->nodes.count; i++) {
       core_profile_free(&profile->modulation->node[i]);
     }
     free(profile->modulation);

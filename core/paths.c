@@ -28,10 +28,10 @@ void core_paths_make(const core_profile *profile, enum core_quantity quantity, s
 
 /* ---- modulated light ------------------------------------------------------------------------- */
 
-enum { NODES = CORE_MODULATION_NODES_MAX, CHUNK = 64 };
+enum { NODES = CORE_MODULATION_NODES_MAX, NODES_FEW = 7, CHUNK = 64 };
 
 /* Returns the middle of the nodes' span. */
-static double middle_of(const core_modulation *of) {
+static double middle_of(const core_nodes *of) {
   return 0.5 * (of->u[0] + of->u[of->count - 1]);
 }
 
@@ -43,37 +43,25 @@ static void find_cosines(unsigned n, double cosine[NODES], unsigned degree) {
   }
 }
 
-enum { NODES_FEW = 7 };
+double complex core_modulated_u(double sigma_a_per_mm, double wavenumber_per_mm) {
+  return fn_csqrt(CMPLX(sigma_a_per_mm, wavenumber_per_mm));
+}
 
-void core_modulation_place(core_modulation *to, bool few, double sigma_a_per_mm,
-                           double wavenumber_per_mm) {
-  assert(wavenumber_per_mm > 0);
-  to->here = sqrt(sigma_a_per_mm);
-  to->there = fn_csqrt(CMPLX(sigma_a_per_mm, wavenumber_per_mm));
-  to->count = few ? NODES_FEW : NODES;
-  const double middle = creal(to->there);
-  const double half = fmin(fmax(0.5 * middle, (few ? 2.5 : 2) * cimag(to->there)), middle);
+core_nodes core_nodes_around(bool few, double least, double complex u) {
+  core_nodes made = {.count = few ? NODES_FEW : NODES};
+  const double wide = fmin(fmax(0.5 * creal(u), (few ? 2.5 : 2) * cimag(u)), creal(u));
+  const double low = fmax(creal(u) - wide, least), half = 0.5 * (creal(u) + wide - low);
   double cosine[NODES];
-  find_cosines(to->count, cosine, 1);
-  for (unsigned j = 0; j < to->count; j++) {
-    to->u[j] = middle + half * cosine[j];
+  find_cosines(made.count, cosine, 1);
+  for (unsigned j = 0; j < made.count; j++) {
+    made.u[j] = low + half + half * cosine[j];
   }
+  return made;
 }
 
-/* Sets weight[j] to those of the polynomial through values at the nodes, at u. */
-static void find_weights(const core_modulation *of, double complex u,
-                         double complex weight[NODES]) {
-  for (unsigned j = 0; j < of->count; j++) {
-    weight[j] = 1;
-    for (unsigned k = 0; k < of->count; k++) {
-      weight[j] *= k == j ? 1 : (u - of->u[k]) * (1 / (of->u[j] - of->u[k]));
-    }
-  }
-}
-
-/* Sets weight[j] to the share of value j in a term of the Chebyshev series at u. */
-static void find_term(const core_modulation *of, unsigned degree, double complex u,
-                      double complex weight[NODES]) {
+/* Sets share[j] to that of value j in a term of the Chebyshev series at u. */
+static void find_term(const core_nodes *of, unsigned degree, double complex u,
+                      double complex share[NODES]) {
   double cosine[NODES], first[NODES];
   find_cosines(of->count, first, 1);
   find_cosines(of->count, cosine, degree);
@@ -85,73 +73,73 @@ static void find_term(const core_modulation *of, unsigned degree, double complex
     at = next;
   }
   for (unsigned j = 0; j < of->count; j++) {
-    weight[j] = at * (2 * cosine[j] / of->count);
+    share[j] = at * (2 * cosine[j] / of->count);
   }
 }
 
-/* The weights of one profile. */
-struct weights {
-  double complex here[NODES], there[NODES];
-};
-
-static struct weights weights_of(const core_modulation *of) {
-  struct weights made;
-  find_weights(of, of->here, made.here);
-  find_weights(of, of->there, made.there);
-  return made;
-}
-
-/* R e^(-b u) at the nodes over that at the middle one, which are all about 1, and what becomes of
- * them. */
-struct continued {
-  double b;
-  double value[NODES];
-  double complex there;
-  double here;
-};
-
-static double complex sum_of(const core_modulation *of, const double complex weight[NODES],
-                             const double value[NODES]) {
-  double complex sum = 0;
+core_continuation core_continue_to(const core_nodes *of, double complex u) {
+  core_continuation to = {.u = u};
   for (unsigned j = 0; j < of->count; j++) {
-    sum += weight[j] * value[j];
+    to.weight[j] = 1;
+    for (unsigned k = 0; k < of->count; k++) {
+      to.weight[j] *= k == j ? 1 : (u - of->u[k]) * (1 / (of->u[j] - of->u[k]));
+    }
   }
-  return sum;
-}
-
-/* ln_R[j * CHUNK]: ln R at node j. */
-static struct continued continue_R(const core_modulation *of, const struct weights *weights,
-                                   const double *ln_R) {
-  const unsigned last = of->count - 1, middle = of->count / 2;
-  struct continued to;
-  to.b = (ln_R[0] - ln_R[last * CHUNK]) / (of->u[0] - of->u[last]);
-  for (unsigned j = 0; j <= last; j++) {
-    const double moved = ln_R[j * CHUNK] - ln_R[middle * CHUNK] - to.b * (of->u[j] - of->u[middle]);
-    to.value[j] = fn_exp(fmin(moved, 700));
+  for (unsigned k = 0; k < 2 && of->count > 0; k++) {
+    find_term(of, of->count - 1 - k, u, to.last[k]);
   }
-  to.there = sum_of(of, weights->there, to.value);
-  to.here = creal(sum_of(of, weights->here, to.value));
   return to;
 }
 
-static bool is_known(const struct continued *of) {
-  return of->here > DBL_MIN && fn_norm2(of->there) > DBL_MIN;
+/* R e^(-b u) over that at the middle node is about 1 at all nodes. */
+core_continued core_continue(const core_nodes *of, const core_continuation *to, const double *ln_R,
+                             size_t stride) {
+  const unsigned last = of->count - 1, middle = of->count / 2;
+  const double b = (ln_R[0] - ln_R[last * stride]) / (of->u[0] - of->u[last]);
+  double value[NODES];
+  double complex sum = 0;
+  core_continued at;
+  for (unsigned j = 0; j <= last; j++) {
+    const double moved = ln_R[j * stride] - ln_R[middle * stride] - b * (of->u[j] - of->u[middle]);
+    value[j] = fn_exp(fmin(moved, 700));
+    sum += to->weight[j] * value[j];
+  }
+  at.is_known = fn_norm2(sum) > DBL_MIN && (cimag(to->u) != 0 || creal(sum) > DBL_MIN);
+  at.ln_R = at.is_known ? ln_R[middle * stride] + b * (to->u - of->u[middle]) + fn_clog(sum) : 0;
+  for (unsigned j = 0; j <= last; j++) {
+    at.relative[j] = at.is_known ? value[j] * fn_inverse(sum) : 0;
+  }
+  return at;
 }
 
-/* Returns -arg R in degrees, or |R| over that without modulation. */
-static double phase_of(const core_modulation *of, const struct continued *at) {
-  return -(180 / FN_PI) * (at->b * cimag(of->there) + cimag(fn_clog(at->there)));
+/* -arg R in degrees, or |R| over that without modulation; 0 where it is not known. */
+static double value_of(const core_continued at[2], bool is_phase) {
+  return !(at[0].is_known && at[1].is_known) ? 0
+         : is_phase                          ? -(180 / FN_PI) * cimag(at[0].ln_R)
+                                             : fn_exp(fmin(creal(at[0].ln_R - at[1].ln_R), 700));
 }
 
-static double modulation_of(const core_modulation *of, const struct continued *at) {
-  const double ln =
-      at->b * (creal(of->there) - of->here) + creal(fn_clog(at->there)) - fn_log(at->here);
-  return fn_exp(fmin(ln, 700));
+/* What a profile's modulated light is continued to: `there`, and `here`. */
+struct both {
+  core_continuation to[2];
+};
+
+static struct both both_of(const core_modulation *of) {
+  return (struct both){
+      {core_continue_to(&of->nodes, of->there), core_continue_to(&of->nodes, of->here)}};
+}
+
+/* Continues value i. */
+static void continue_both(const core_modulation *of, const struct both *to, const double *ln_R,
+                          core_continued at[2]) {
+  for (int k = 0; k < 2; k++) {
+    at[k] = core_continue(&of->nodes, &to->to[k], ln_R, CHUNK);
+  }
 }
 
 /* Sets ln_R[j * CHUNK + i] to that of node j at r[i]; n is at most CHUNK. */
 static void look_at(const core_modulation *of, size_t n, const double *r, double *ln_R) {
-  for (unsigned j = 0; j < of->count; j++) {
+  for (unsigned j = 0; j < of->nodes.count; j++) {
     core_evaluate(&of->node[j], CORE_QUANTITY_LN_R, n, r, ln_R + j * CHUNK);
   }
 }
@@ -161,17 +149,19 @@ void core_modulation_eval(const core_profile *profile, enum core_quantity quanti
   const core_modulation *of = profile->modulation;
   assert(of != NULL);
   const bool is_phase = quantity == CORE_QUANTITY_PHASE;
-  const struct weights weights = weights_of(of);
+  const unsigned nodes = of->nodes.count;
+  const struct both to = both_of(of);
   double ln_R[NODES * CHUNK];
   for (size_t done = 0; done < n; done += CHUNK) {
     const size_t count = n - done < CHUNK ? n - done : CHUNK;
     look_at(of, count, r + done, ln_R);
     for (size_t i = 0; i < count; i++) {
       /* Where R is infinite the paths have no length; where it is 0 there is no light. */
-      double value = is_phase || (of->count > 0 && ln_R[i] < 0) ? 0 : 1;
-      if (of->count > 0 && isfinite(ln_R[i]) && isfinite(ln_R[(of->count - 1) * CHUNK + i])) {
-        const struct continued at = continue_R(of, &weights, ln_R + i);
-        value = !is_known(&at) ? 0 : is_phase ? phase_of(of, &at) : modulation_of(of, &at);
+      double value = is_phase || (nodes > 0 && ln_R[i] < 0) ? 0 : 1;
+      if (nodes > 0 && isfinite(ln_R[i]) && isfinite(ln_R[(nodes - 1) * CHUNK + i])) {
+        core_continued at[2];
+        continue_both(of, &to, ln_R + i, at);
+        value = value_of(at, is_phase);
       }
       out[done + i] = value;
     }
@@ -190,42 +180,33 @@ enum { PLACES = 33 };
 /* An interpolation with a larger relative error is not trusted to know it. */
 #define UNKNOWN 0.05
 
-/* Returns by how much a change of ln R by `there` and `here` changes a quantity. */
-static double change(bool is_phase, double complex there, double here) {
-  return is_phase ? fabs(cimag(there)) : fabs(creal(there) - here);
-}
-
-/* Returns the error of the angle -arg R, or of ln |R|, at one radius. error[j]: of ln R at node j. */
-static double error_at(const core_modulation *of, const struct continued *at,
-                       const struct weights *weights, const double complex term[4][NODES],
-                       const double error[NODES], bool is_phase) {
-  const double complex there = fn_inverse(at->there);
-  const double here = 1 / at->here;
+double core_continued_error(const core_nodes *nodes, bool is_angle,
+                            const core_continuation *const u[2], const core_continued at[2],
+                            const double *error) {
+  double complex last[2] = {0, 0}, first[2] = {0, 0}; /* first: of u[0] alone */
   double sum = 0;
-  for (unsigned j = 0; j < of->count; j++) {
-    sum += error[j] * at->value[j] *
-           change(is_phase, weights->there[j] * there, creal(weights->here[j]) * here);
+  for (unsigned j = 0; j < nodes->count; j++) {
+    double complex by = u[0]->weight[j] * at[0].relative[j];
+    by -= u[1] != NULL ? u[1]->weight[j] * at[1].relative[j] : 0;
+    sum += error[j] * fabs(is_angle ? cimag(by) : creal(by));
+    for (int k = 0; k < 2; k++) {
+      first[k] += u[0]->last[k][j] * at[0].relative[j];
+      last[k] -= u[1] != NULL ? u[1]->last[k][j] * at[1].relative[j] : 0;
+    }
   }
-  for (int k = 0; k < 2; k++) {
-    const double complex off = sum_of(of, term[k], at->value) * there;
-    const double off_here = creal(sum_of(of, term[2 + k], at->value)) * here;
-    sum += (k == 0 ? MARGIN : 0.25 * MARGIN) * fn_abs(off - off_here);
-    sum = fn_abs(off) < UNKNOWN ? sum : (double)INFINITY;
-  }
-  return sum;
+  sum += MARGIN * (fn_abs(first[0] + last[0]) + 0.25 * fn_abs(first[1] + last[1]));
+  const bool known = at[0].is_known && (u[1] == NULL || at[1].is_known);
+  return known && fmax(fn_abs(first[0]), fn_abs(first[1])) < UNKNOWN ? sum : (double)INFINITY;
 }
 
 static double modulated_error(const core_profile *profile, bool is_phase, core_radii_range radii) {
   const core_modulation *of = profile->modulation;
-  if (of == NULL || of->count == 0 || radii.least_mm > radii.most_mm) {
+  if (of == NULL || of->nodes.count == 0 || radii.least_mm > radii.most_mm) {
     return 0;
   }
-  const struct weights weights = weights_of(of);
-  double complex term[4][NODES];
+  const struct both to = both_of(of);
+  const core_continuation *const u[2] = {&to.to[0], &to.to[1]};
   double error[NODES], ln_R[NODES * CHUNK], r[PLACES];
-  for (unsigned k = 0; k < 4; k++) {
-    find_term(of, of->count - 1 - k % 2, k < 2 ? of->there : of->here, term[k]);
-  }
   const double near = NEAREST_MFP / core_sigma_t_prime(&profile->medium);
   const double least = fmax(radii.least_mm, near) / AROUND, most_mm = fmax(radii.most_mm, near);
   const double step = fn_log(most_mm * AROUND / least) / (PLACES - 1);
@@ -233,19 +214,17 @@ static double modulated_error(const core_profile *profile, bool is_phase, core_r
     r[i] = least * fn_exp(step * i);
   }
   look_at(of, PLACES, r, ln_R);
-  for (unsigned j = 0; j < of->count; j++) {
+  for (unsigned j = 0; j < of->nodes.count; j++) {
     const core_stated_errors stated = core_profile_errors(&of->node[j], CORE_QUANTITY_LN_R, radii);
     error[j] = stated.numerical + stated.numerical_per_mm * radii.most_mm + 1e-12;
   }
   double most = 0;
   for (int i = 0; i < PLACES; i++) {
-    if (isfinite(ln_R[i]) && isfinite(ln_R[(of->count - 1) * CHUNK + i])) {
-      const struct continued at = continue_R(of, &weights, ln_R + i);
-      const double value = !is_known(&at) ? 0
-                           : is_phase     ? phase_of(of, &at)
-                                          : modulation_of(of, &at);
-      const double off =
-          is_known(&at) ? error_at(of, &at, &weights, term, error, is_phase) : (double)INFINITY;
+    if (isfinite(ln_R[i]) && isfinite(ln_R[(of->nodes.count - 1) * CHUNK + i])) {
+      core_continued at[2];
+      continue_both(of, &to, ln_R + i, at);
+      const double value = value_of(at, is_phase);
+      const double off = core_continued_error(&of->nodes, is_phase, u, at, error);
       const double rounded = profile->evaluator == CORE_EVALUATOR_F64 ? 0 : (double)FLT_EPSILON;
       most = fmax(most, (is_phase || isinf(off) ? off * (180 / FN_PI) : off * value) +
                             rounded * fabs(value));

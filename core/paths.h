@@ -26,21 +26,52 @@
 
 enum { CORE_MODULATION_NODES_MAX = 9 };
 
+/* Real absorptions u^2 at which R is known. */
+typedef struct core_nodes {
+  unsigned count;
+  double u[CORE_MODULATION_NODES_MAX]; /* descending */
+} core_nodes;
+
 /* What a profile of modulated light owns. Its medium is at u = here, its complex absorption at
  * u = there. */
 typedef struct core_modulation {
-  unsigned count; /* of nodes; 0: the frequency is 0 */
+  core_nodes nodes; /* count 0: the frequency is 0, or no node is needed */
   double here;
   double complex there;
-  double u[CORE_MODULATION_NODES_MAX];          /* descending */
   core_profile node[CORE_MODULATION_NODES_MAX]; /* owned, of evaluator f64 */
 } core_modulation;
 
-/* Sets `here`, `there`, and the nodes. few: takes few nodes, far apart, which multiply the errors of
- * R at the nodes less. sigma_a_per_mm: the least absorption, not negative; wavenumber_per_mm:
- * omega n / c, above 0. */
-void core_modulation_place(core_modulation *to, bool few, double sigma_a_per_mm,
-                           double wavenumber_per_mm);
+/* How R is continued to u: the weight of each node's value, and its share in the last two terms of
+ * the Chebyshev series there. */
+typedef struct core_continuation {
+  double complex u, weight[CORE_MODULATION_NODES_MAX], last[2][CORE_MODULATION_NODES_MAX];
+} core_continuation;
+
+/* ln R at u; is_known: whether R is no difference of much larger numbers. A change of ln R by d at
+ * node j changes it by weight[j] relative[j] d, or of any logarithm of an analytic function. */
+typedef struct core_continued {
+  bool is_known;
+  double complex ln_R, relative[CORE_MODULATION_NODES_MAX];
+} core_continued;
+
+/* Returns sqrt(sigma_a + i wavenumber), the u of light with wavenumber = omega n / c. */
+double complex core_modulated_u(double sigma_a_per_mm, double wavenumber_per_mm);
+
+/* Returns nodes for u and for what is nearer to the real axis. few: takes few nodes, far apart, which
+ * multiply the errors of R at the nodes less. least: of all nodes. */
+core_nodes core_nodes_around(bool few, double least, double complex u);
+
+core_continuation core_continue_to(const core_nodes *nodes, double complex u);
+
+/* ln_R: that at node j is ln_R[j * stride]. */
+core_continued core_continue(const core_nodes *nodes, const core_continuation *to,
+                             const double *ln_R, size_t stride);
+
+/* Returns the error of the angle of R at u[0], or of ln |R| there; if u[1] is not NULL less ln R
+ * there. at: what is continued to the two; error[j]: that of ln R at node j. */
+double core_continued_error(const core_nodes *nodes, bool is_angle,
+                            const core_continuation *const u[2], const core_continued at[2],
+                            const double *error);
 
 /* Replaces derivatives of ln R by ln sigma_a at n radii by PATH, DPF or TIME. */
 void core_paths_make(const core_profile *profile, enum core_quantity quantity, size_t n,

@@ -582,11 +582,13 @@ static core_fault prepare_modulation(core_profile *profile, const struct model *
   if (!(mhz > 0)) {
     return (core_fault){0};
   }
-  core_modulation_place(made, profile->numerical_error > NODES_MANY_ERROR, least,
-                        2e-6 * PI * mhz * index / CORE_LIGHT_SPEED_MM_PER_PS);
+  made->here = sqrt(least);
+  made->there = core_modulated_u(least, 2e-6 * PI * mhz * index / CORE_LIGHT_SPEED_MM_PER_PS);
+  made->nodes = core_nodes_around(profile->numerical_error > NODES_MANY_ERROR, 0, made->there);
   core_fault fault = {0};
-  for (unsigned i = 0; i < made->count && fault.field == NULL; i++) {
-    fault = prepare_node(&made->node[i], model, inputs, made->u[i] * made->u[i] - least, share);
+  for (unsigned i = 0; i < made->nodes.count && fault.field == NULL; i++) {
+    const double u = made->nodes.u[i];
+    fault = prepare_node(&made->node[i], model, inputs, u * u - least, share);
   }
   return fault;
 }

@@ -100,7 +100,7 @@ enum schema_form {
   SCHEMA_CHANNELS,  /* a list, or a list of lists: one for each channel; each may be one number */
 };
 
-enum { SCHEMA_FACTORS = 3, SCHEMA_PARTS = 8 };
+enum { SCHEMA_FACTORS = 3, SCHEMA_PARTS = 10 };
 
 /* An array, or several of equal length, that follows the first structures or another part. */
 typedef struct schema_part {

@@ -785,8 +785,11 @@ typedef struct dipole_tissue_fit_query {
   uint32_t place_count;        /* at each wavelength: 1 to 1024, with the wavelengths up to 4096 */
   const double *at;            /* [place_count] distances in mm, or frequencies in 1/mm */
   const double *source_mm, *detector_mm; /* [place_count] diameters, as of a fit; NULL: 0 */
-  double detector_na;                    /* as of a fit; 0: light of all angles */
-  uint64_t set_count;                    /* at least 1 */
+  /* [place_count] MHz of modulated light, and what is read: 0 R or its amplitude, DIPOLE_LAG in
+   * degrees, or DIPOLE_MODULATION; NULL: 0 */
+  const double *mhz, *quantity;
+  double detector_na; /* as of a fit; 0: light of all angles */
+  uint64_t set_count; /* at least 1 */
   /* [set_count][wavelength_count][place_count] readings and their standard errors */
   const double *values, *errors;
   bool residuals; /* whether the residuals are wanted */

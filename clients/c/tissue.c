@@ -103,9 +103,10 @@ bool dipole_fit_tissue(dipole_client *client, const dipole_tissue_fit_query *que
       .count = query->set_count,
       .sought_count = (uint16_t)query->sought_count,
       .reading_count = query->residuals ? query->place_count * tissue->wavelength_count : 0};
-  const void *const parts[] = {tissue->properties, query->sought,      query->at,
-                               query->source_mm,   query->detector_mm, tissue->wavelengths_nm,
-                               query->values,      query->errors};
+  const void *const parts[] = {tissue->properties, query->sought,          query->at,
+                               query->source_mm,   query->detector_mm,     query->mhz,
+                               query->quantity,    tissue->wavelengths_nm, query->values,
+                               query->errors};
   libdipole_pending pending = {.kind = &fit_kind,
                                .type = WIRE_TYPE_FIT_TISSUE,
                                .deadline_ms = tissue->deadline_ms,

@@ -11,16 +11,30 @@
 #include "clients/cli/rows.h"
 #include "proto/decimal.h"
 
-/* The columns of the file. */
-enum { WAVELENGTH, RADIUS, FREQUENCY, VALUE, ERROR, SOURCE, DETECTOR, COLUMNS };
+/* The columns of the file: a line is up to three readings, each with its error. */
+enum {
+  WAVELENGTH,
+  RADIUS,
+  FREQUENCY,
+  SOURCE,
+  DETECTOR,
+  MHZ,
+  VALUES,
+  KINDS = 3,
+  COLUMNS = VALUES + 2 * KINDS
+};
 
-static const char *const names[COLUMNS] = {"wavelength_nm", "r",         "f",          "R",
-                                           "error",         "source_mm", "detector_mm"};
+static const char *const names[COLUMNS] = {
+    "wavelength_nm", "r",     "f",           "source_mm",  "detector_mm",     "mhz", "R",
+    "error",         "phase", "phase_error", "modulation", "modulation_error"};
+
+static const double quantities[KINDS] = {0, DIPOLE_LAG, DIPOLE_MODULATION};
 
 /* The readings of one tissue: a value for each wavelength and place. */
 typedef struct tissue_sample {
   char *name;
   size_t *rows, count; /* of the sheet */
+  size_t readings;
   dipole_tissue_fits *fits;
 } tissue_sample;
 
@@ -123,14 +137,20 @@ static bool check_header(const cli_sheet *sheet, const cli_csv_record *header) {
       (sheet->at[RADIUS] == CLI_CSV_ABSENT) != (sheet->at[FREQUENCY] == CLI_CSV_ABSENT);
   const char *missing = sheet->at[WAVELENGTH] == CLI_CSV_ABSENT ? "wavelength_nm"
                         : !places                               ? "r or f (one of both)"
-                        : sheet->at[VALUE] == CLI_CSV_ABSENT    ? "R"
-                        : sheet->at[ERROR] == CLI_CSV_ABSENT    ? "error"
                                                                 : NULL;
+  size_t kinds = 0;
+  for (size_t i = VALUES; i < COLUMNS && missing == NULL; i += 2) {
+    const bool read = sheet->at[i] != CLI_CSV_ABSENT;
+    missing = read && sheet->at[i + 1] == CLI_CSV_ABSENT ? names[i + 1] : NULL;
+    kinds += read;
+  }
+  missing = missing == NULL && kinds == 0 ? names[VALUES] : missing;
   return missing == NULL ||
          cli_csv_fail_missing(
              sheet->source, header, missing,
-             "wavelength_nm, r (mm) or f (1/mm), R and error for --unknown, and may "
-             "have sample, source_mm and detector_mm");
+             "wavelength_nm, r (mm) or f (1/mm), R and error for --unknown, and may have sample, "
+             "source_mm, detector_mm; of modulated light mhz, phase (degrees), phase_error, "
+             "modulation, modulation_error");
 }
 
 /* Lists the samples, and the rows of each. */
@@ -154,60 +174,111 @@ static int read_samples(report *of) {
   return sheet->count > 0 ? CLI_OK : cli_fail("%s: there are no readings", sheet->source);
 }
 
-/* Returns the position of a number in a list, to which it is added if it is new. */
-static size_t place_of(double *list, size_t *count, double number) {
+/* Returns the position of numbers, one in each of `lists` arrays of `room`, to which they are added if
+ * they are new. */
+static size_t place_of(double *list, size_t room, size_t lists, size_t *count,
+                       const double *numbers) {
   size_t i = 0;
-  while (i < *count && (list[i] < number || list[i] > number)) {
-    i++;
+  for (bool found = false; i < *count; i += !found) {
+    found = true;
+    for (size_t k = 0; k < lists; k++) {
+      found &= !(list[k * room + i] < numbers[k] || list[k * room + i] > numbers[k]);
+    }
+    if (found) {
+      return i;
+    }
   }
-  list[i] = number;
-  *count += i == *count;
+  for (size_t k = 0; k < lists; k++) {
+    list[k * room + i] = numbers[k];
+  }
+  ++*count;
   return i;
 }
 
-/* Arranges the readings of a sample by wavelength and place, and requests its fit. */
-static int fit_sample(report *of, dipole_client *client, tissue_sample *one) {
+/* The readings of a sample, by wavelength and place; arrays of `room` numbers. */
+typedef struct readings {
+  size_t room, wavelengths, places, count;
+  double *nm, *values, *errors;
+  double *place; /* [PLACE_NUMBERS][room] */
+  size_t *at;    /* of each reading among the values */
+} readings;
+
+enum { PLACE_NUMBERS = 5 }; /* r or f, discs, mhz, quantity */
+
+/* Lists the readings of line i of a sample. */
+static void list_readings(const report *of, const tissue_sample *one, size_t i, readings *to) {
   const cli_sheet *sheet = &of->sheet;
-  const size_t count = one->count, column = of->frequency ? FREQUENCY : RADIUS;
-  double *numbers = cli_allocate(6 * count, sizeof *numbers);
-  double *nm = numbers, *at = nm + count, *discs[] = {at + count, at + 2 * count};
-  double *values = at + 3 * count, *errors = at + 4 * count;
-  size_t wavelengths = 0, places = 0;
-  for (size_t i = 0; i < count; i++) {
-    const size_t place = place_of(at, &places, cli_sheet_number(sheet, one->rows[i], column));
-    place_of(nm, &wavelengths, cli_sheet_number(sheet, one->rows[i], WAVELENGTH));
-    for (size_t k = 0; k < 2; k++) {
-      const double disc = cli_sheet_number(sheet, one->rows[i], SOURCE + k);
-      discs[k][place] = isnan(disc) ? 0 : disc;
+  const size_t row = one->rows[i];
+  const bool alone =
+      sheet->at[VALUES + 2] == CLI_CSV_ABSENT && sheet->at[VALUES + 4] == CLI_CSV_ABSENT;
+  const double nm = cli_sheet_number(sheet, row, WAVELENGTH);
+  double place[PLACE_NUMBERS] = {cli_sheet_number(sheet, row, of->frequency ? FREQUENCY : RADIUS)};
+  for (size_t k = SOURCE; k <= MHZ; k++) {
+    const double number = cli_sheet_number(sheet, row, k);
+    place[1 + k - SOURCE] = isnan(number) ? 0 : number;
+  }
+  for (size_t kind = 0; kind < KINDS; kind++) {
+    const double value = cli_sheet_number(sheet, row, VALUES + 2 * kind);
+    place[PLACE_NUMBERS - 1] = quantities[kind];
+    if (!isnan(value) || (kind == 0 && alone)) {
+      const size_t l = place_of(to->nm, to->room, 1, &to->wavelengths, &nm);
+      const size_t at = place_of(to->place, to->room, PLACE_NUMBERS, &to->places, place);
+      to->at[to->count] = l * to->room + at;
+      to->values[to->count] = value;
+      to->errors[to->count++] = cli_sheet_number(sheet, row, VALUES + 2 * kind + 1);
     }
   }
-  bool *known = cli_allocate(count, sizeof *known);
-  bool whole = wavelengths * places == count;
-  for (size_t i = 0; i < count && whole; i++) {
-    const size_t row = one->rows[i];
-    const size_t l = place_of(nm, &wavelengths, cli_sheet_number(sheet, row, WAVELENGTH));
-    const size_t to = l * places + place_of(at, &places, cli_sheet_number(sheet, row, column));
+}
+
+/* Puts values and errors in the order of wavelengths and places. Returns whether each is there once. */
+static bool arrange(readings *of) {
+  double *ordered = cli_allocate(2 * of->room, sizeof *ordered);
+  bool *known = cli_allocate(of->room, sizeof *known);
+  bool whole = of->wavelengths * of->places == of->count;
+  for (size_t i = 0; i < of->count && whole; i++) {
+    const size_t to = of->at[i] / of->room * of->places + of->at[i] % of->room;
     whole = !known[to];
     known[to] = true;
-    values[to] = cli_sheet_number(sheet, row, VALUE);
-    errors[to] = cli_sheet_number(sheet, row, ERROR);
+    ordered[to] = of->values[i];
+    ordered[of->room + to] = of->errors[i];
   }
-  if (!whole) {
+  of->values = ordered;
+  of->errors = ordered + of->room;
+  return whole;
+}
+
+/* Requests the fit of a sample. */
+static int fit_sample(report *of, dipole_client *client, tissue_sample *one) {
+  const size_t room = KINDS * one->count;
+  double *numbers = cli_allocate((3 + PLACE_NUMBERS) * room, sizeof *numbers);
+  readings all = {.room = room,
+                  .nm = numbers,
+                  .values = numbers + room,
+                  .errors = numbers + 2 * room,
+                  .place = numbers + 3 * room,
+                  .at = cli_allocate(room, sizeof *all.at)};
+  for (size_t i = 0; i < one->count; i++) {
+    list_readings(of, one, i, &all);
+  }
+  one->readings = all.count;
+  if (!arrange(&all)) {
     return cli_fail("%s: sample %s: each wavelength needs one reading at each of the same places",
-                    sheet->source, one->name);
+                    of->sheet.source, one->name);
   }
   dipole_error error;
   dipole_tissue_fit_query query = of->query;
   query.tissue.properties = of->properties;
-  query.tissue.wavelengths_nm = nm;
-  query.tissue.wavelength_count = (uint32_t)wavelengths;
+  query.tissue.wavelengths_nm = all.nm;
+  query.tissue.wavelength_count = (uint32_t)all.wavelengths;
   query.axis = of->frequency ? DIPOLE_AXIS_FREQUENCY : DIPOLE_AXIS_RADIUS;
-  query.place_count = (uint32_t)places;
-  query.at = at;
-  query.source_mm = discs[0];
-  query.detector_mm = discs[1];
-  query.values = values;
-  query.errors = errors;
+  query.place_count = (uint32_t)all.places;
+  query.at = all.place;
+  query.source_mm = all.place + room;
+  query.detector_mm = all.place + 2 * room;
+  query.mhz = all.place + 3 * room;
+  query.quantity = all.place + 4 * room;
+  query.values = all.values;
+  query.errors = all.errors;
   const bool good =
       CLI_RETRY(of->settings, &error, dipole_fit_tissue(client, &query, &one->fits, &error));
   if (good) {
@@ -270,7 +341,7 @@ static void put_estimate(cli_rows *rows, const void *context, size_t index) {
   cli_put_number(rows, set->factor_error, "scale_error", "its error", .format = "%.2g",
                  .missing = "-", .forms = with_factor);
   cli_put_number(rows, set->chi_squared, "chi2", .format = "%.4g", .missing = "-");
-  cli_put_count(rows, sample->count, "readings");
+  cli_put_count(rows, sample->readings, "readings");
   cli_put_number(rows, set->condition, "condition", .format = "%.3g", .missing = "-");
   cli_put_number(rows, set->model_error, "model_error", .forms = CLI_IN_JSON);
   cli_put_text(rows, status_name(of, set->status), "sample_status", "sample is");

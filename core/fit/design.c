@@ -10,22 +10,23 @@
 #include "core/fit/search.h"
 #include "core/fit/values.h"
 #include "core/kernels.h"
+#include "core/paths.h"
 
 #define CORE_REAL 64
 #include "core/kernel.h"
 
 /* ---- checking -------------------------------------------------------------------------------- */
 
-/* Returns the diameter of a reading's disc. diameters NULL: 0. */
-static double diameter(const double *diameters, size_t i) {
-  return diameters != NULL ? diameters[i] : 0;
+/* Returns a number of a reading, as the diameter of a disc. numbers NULL: 0. */
+static double number_of(const double *numbers, size_t i) {
+  return numbers != NULL ? numbers[i] : 0;
 }
 
 static core_fault check_readings(const core_fit_design *design) {
   const bool frequency = design->axis == CORE_FIT_AXIS_FREQUENCY;
   for (size_t i = 0; i < design->count; i++) {
-    const double source = diameter(design->source_mm, i);
-    const double detector = diameter(design->detector_mm, i);
+    const double source = number_of(design->source_mm, i);
+    const double detector = number_of(design->detector_mm, i);
     const double most = frequency ? 0 : 1e12;
     const char *allowed = frequency ? "0 with frequencies" : "0 to 1e12";
     if (!(source >= 0 && source <= most)) { /* also false for NaN */
@@ -43,6 +44,39 @@ static core_fault check_readings(const core_fit_design *design) {
     }
   }
   return (core_fault){0};
+}
+
+static bool is_modulated(const core_fit_design *design) {
+  bool modulated = false;
+  for (size_t i = 0; i < design->count && design->of_spectra; i++) {
+    modulated |= design->mhz != NULL && design->mhz[i] != 0;
+    modulated |= design->quantity != NULL && design->quantity[i] != 0;
+  }
+  return modulated;
+}
+
+static core_fault check_modulated(const core_fit_design *design) {
+  if (design->count > CORE_FIT_MODULATED_MAX) {
+    return (core_fault){"count", "up to 512 readings with modulated light", design->count};
+  }
+  if (design->detector_na != 0) {
+    return (core_fault){"detector_na", "0 with modulated light", 0};
+  }
+  bool scaled = design->scale != CORE_FIT_SCALE_FREE;
+  for (size_t i = 0; i < design->count; i++) {
+    const double quantity = number_of(design->quantity, i);
+    scaled |= quantity == 0;
+    core_fault fault = core_parameter_check(CORE_PARAMETER_MHZ, number_of(design->mhz, i));
+    fault.index = i;
+    if (fault.field != NULL) {
+      return fault;
+    }
+    if (quantity != 0 && quantity != CORE_QUANTITY_PHASE && quantity != CORE_QUANTITY_MODULATION) {
+      return (core_fault){"quantity", "0, or the id of phase or modulation", i};
+    }
+  }
+  return scaled ? (core_fault){0}
+                : (core_fault){"scale", "absolute: phases and modulations have no factor", 0};
 }
 
 /* Returns the g for which transport is evaluated, given g or gamma. */
@@ -115,8 +149,10 @@ core_fault core_fit_check(const core_fit_design *design) {
   }
   const core_medium some = {0.01, 1 / (1 - design->g), design->g, design->eta,
                             design->thickness_mm};
-  core_fault fault = core_profile_check(design->model, design->moments, CORE_EVALUATOR_F64, &some,
-                                        design->parameters, NULL);
+  core_parameters taken = design->parameters != NULL ? *design->parameters : core_parameters_none();
+  taken.value[CORE_PARAMETER_MHZ] = is_modulated(design) ? 0 : (double)NAN;
+  core_fault fault =
+      core_profile_check(design->model, design->moments, CORE_EVALUATOR_F64, &some, &taken, NULL);
   if (fault.field == NULL && !fits_model(design->model)) {
     fault = (core_fault){"model", "a model whose R depends on the coefficients alone", 0};
   }
@@ -130,6 +166,9 @@ core_fault core_fit_check(const core_fit_design *design) {
   if (fault.field == NULL) {
     fault = check_stored(design);
   }
+  if (fault.field == NULL && is_modulated(design)) {
+    fault = check_modulated(design);
+  }
   return fault.field == NULL ? check_readings(design) : fault;
 }
 
@@ -141,13 +180,14 @@ core_fault core_fit_check(const core_fit_design *design) {
 #define EVALUATION_COST 128
 #define PLACE_COST 42
 #define SLAB_COST 262144
+#define MODULATED_COST 16
 
 /* Returns the number of nodes of all readings. */
 static size_t nodes_of(const core_fit_design *design) {
   size_t nodes = 0;
   for (size_t i = 0; i < design->count; i++) {
-    nodes += fit_disc_count(design->at[i], diameter(design->source_mm, i),
-                            diameter(design->detector_mm, i));
+    nodes += fit_disc_count(design->at[i], number_of(design->source_mm, i),
+                            number_of(design->detector_mm, i));
   }
   return nodes;
 }
@@ -164,8 +204,9 @@ core_fit_cost core_fit_cost_of(const core_fit_design *design) {
   return (core_fit_cost){.evaluations = inverts               ? BY_INVERSE
                                         : spare <= FIT_SPARSE ? SPARSE
                                                               : PLENTY,
-                         .evaluation = EVALUATION_COST + (double)nodes_of(design) * PLACE_COST +
-                                       (slab ? SLAB_COST : 0)};
+                         .evaluation = (is_modulated(design) ? MODULATED_COST : 1) *
+                                       (EVALUATION_COST + (double)nodes_of(design) * PLACE_COST +
+                                        (slab ? SLAB_COST : 0))};
 }
 
 /* ---- preparing ------------------------------------------------------------------------------- */
@@ -205,7 +246,7 @@ static void set_bounds(core_fit *fit, const core_fit_design *design) {
   for (size_t i = 0; i < design->count; i++) {
     const double at = design->at[i];
     const bool frequency = design->axis == CORE_FIT_AXIS_FREQUENCY;
-    const double radii = diameter(design->source_mm, i) + diameter(design->detector_mm, i);
+    const double radii = number_of(design->source_mm, i) + number_of(design->detector_mm, i);
     const double distance =
         frequency ? (at > 0 ? 1 / (6.28318530717958647693 * at) : 0) : real_max(at, 0.25 * radii);
     if (distance > 0) {
@@ -308,8 +349,8 @@ static void set_places(core_fit *fit, const core_fit_design *design) {
   places->radii = (core_radii_range){(double)INFINITY, 0};
   for (size_t i = 0; i < places->count; i++) {
     const size_t first = places->first[i];
-    places->first[i + 1] = first + fit_disc_nodes(design->at[i], diameter(design->source_mm, i),
-                                                  diameter(design->detector_mm, i),
+    places->first[i + 1] = first + fit_disc_nodes(design->at[i], number_of(design->source_mm, i),
+                                                  number_of(design->detector_mm, i),
                                                   places->at + first, places->weight + first);
     for (size_t k = first; k < places->first[i + 1]; k++) {
       places->ln_at[k] = fit_ln(places->at[k]);
@@ -321,10 +362,24 @@ static void set_places(core_fit *fit, const core_fit_design *design) {
   }
 }
 
+/* Sets what readings are, and their frequencies. */
+static void set_modulation(struct fit_places *places, const core_fit_design *design,
+                           double *quantity) {
+  places->modulated = is_modulated(design);
+  places->quantity = quantity;
+  for (size_t i = 0; i < places->count; i++) {
+    quantity[i] = number_of(design->quantity, i);
+    places->wavenumber_per_mm[i] = 6.28318530717958647693e-6 * number_of(design->mhz, i) *
+                                   design->eta / CORE_LIGHT_SPEED_MM_PER_PS;
+    places->wavenumber_most_per_mm =
+        real_max(places->wavenumber_most_per_mm, places->wavenumber_per_mm[i]);
+  }
+}
+
 /* Returns whether the discs of all readings have equal diameters. diameters may be NULL. */
 static bool are_alike(const double *diameters, size_t count) {
   for (size_t i = 1; i < count; i++) {
-    if (diameter(diameters, i) != diameter(diameters, 0)) {
+    if (number_of(diameters, i) != number_of(diameters, 0)) {
       return false;
     }
   }
@@ -396,10 +451,11 @@ static core_fault fill_design(core_fit *fit, const core_fit_design *design) {
   return fault;
 }
 
-/* The numbers that a design holds for each reading: its weight and the grid; for each node: where it
+/* The numbers that a design holds for each reading: its weight, the grid, its wavenumber and what it
+ * is; for each node: where it
  * is, the logarithm of that, and its weight. Of each reading it holds besides where its nodes begin
  * and, in the order of distances, its position. */
-enum { NUMBERS = 1 + FIT_GRID, NODE_NUMBERS = 3 };
+enum { NUMBERS = 3 + FIT_GRID, NODE_NUMBERS = 3 };
 
 core_fault core_fit_create(core_fit **made, const core_isa *isa, const core_fit_design *design) {
   *made = NULL;
@@ -428,8 +484,10 @@ core_fault core_fit_create(core_fit **made, const core_isa *isa, const core_fit_
                  .first = first,
                  .at = numbers + NUMBERS * count,
                  .ln_at = numbers + NUMBERS * count + nodes,
-                 .weight = numbers + NUMBERS * count + 2 * nodes},
+                 .weight = numbers + NUMBERS * count + 2 * nodes,
+                 .wavenumber_per_mm = numbers + (1 + FIT_GRID) * count},
   };
+  set_modulation(&fit->places, design, numbers + (2 + FIT_GRID) * count);
   if (core_solves(fit->model.model)) {
     fit->model.parameters.value[CORE_PARAMETER_TOLERANCE] = (double)NAN;
   }

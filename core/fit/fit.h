@@ -53,6 +53,9 @@
 /* The largest number of steps of refining that are useful. */
 #define CORE_FIT_REFINE_MOST 6
 
+/* The largest number of readings in a set with modulated light. */
+#define CORE_FIT_MODULATED_MAX 512
+
 /* What does not change from one set of readings to the next. Arrays have `count` values. */
 typedef struct core_fit_design {
   unsigned model;
@@ -81,14 +84,20 @@ typedef struct core_fit_design {
   core_medium reference; /* the known medium, if scale is REFERENCE */
   /* Whether the places serve spectra (core/fit/spectral.h) alone: any count from 1 on. */
   bool of_spectra;
+  /* Of spectra: the light's modulation, 0 to 1e5 MHz, and what a reading is: 0 the amplitude |R~|, or
+   * CORE_QUANTITY_PHASE, its lag in degrees and not reduced to a circle, or CORE_QUANTITY_MODULATION,
+   * |R~| / R, as core/paths.h has them with the index eta. With axis FREQUENCY they are of R(f). NULL:
+   * all are 0. */
+  const double *mhz;
+  const double *quantity;
 } core_fit_design;
 
 /* A design, prepared. It is immutable. */
 typedef struct core_fit core_fit;
 
 /* Returns the fault that core_fit_create() would return, except `memory`. Fields: those of
- * core_profile_check(); `axis`, `scale`, `count`; `detector_na`; `at`, `source`, `detector` with
- * the index of the reading; and `reference` if the model gives no light for it at the reading of
+ * core_profile_check(); `axis`, `scale`, `count`; `detector_na`; `at`, `source`, `detector`,
+ * `quantity`, `mhz` with the index of the reading; and `reference` if the model gives no light for it at the reading of
  * that index. */
 core_fault core_fit_check(const core_fit_design *design);
 

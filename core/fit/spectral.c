@@ -28,6 +28,8 @@ enum { MOST = CORE_SPECTRAL_UNKNOWNS_MAX, CANDIDATES = 15, STARTS = 5, STEPS_MAX
 /* A second minimum differs by so many standard errors. */
 #define APART 5.0
 
+#define DEGREES 57.29577951308232
+
 /* Chi-squared around x as far as it is quadratic, with the factor eliminated. */
 struct quadratic {
   double x[MOST];
@@ -233,6 +235,11 @@ struct residual {
 };
 
 static struct residual residual_of(const core_spectral *of, const struct quadratic *q, size_t i) {
+  if (fit_quantity_of(&of->fit->places, i % of->places) != 0) {
+    const double weight = 1 / of->errors[i];
+    return (struct residual){weight * (of->values[i] - of->model[i]), weight * of->by_ratio[i],
+                             weight * of->by_scattering[i], 0};
+  }
   if (q->logarithms) {
     const double weight = real_max(of->values[i], 0) / of->errors[i];
     const double slope = weight / real_max(of->model[i], 0x1p-1022);
@@ -543,7 +550,7 @@ struct found {
 };
 
 /* Sets *error and *shift to the standard error of a number whose derivatives by the unknowns are
- * `by`, and to what numerical errors of R (in ln_model) may change it by; covariances[n] to those
+ * `by`, and to what numerical errors of readings (in ln_model) may change it by; covariances[n] to those
  * with the unknowns. */
 static void measure(const core_spectral *of, const struct found *at, const double *by,
                     double *error, double *shift, double *covariances) {
@@ -565,8 +572,7 @@ static void measure(const core_spectral *of, const struct found *at, const doubl
     }
     for (size_t i = l * of->places; i < (l + 1) * of->places; i++) {
       const struct residual r = residual_of(of, &at->q, i);
-      *shift +=
-          fabs((r.r * all.ratio + r.s * all.scattering - r.f * along) * r.f) * of->ln_model[i];
+      *shift += fabs(r.r * all.ratio + r.s * all.scattering - r.f * along) * of->ln_model[i];
     }
   }
 }
@@ -655,8 +661,10 @@ static void put_haemoglobin(const core_spectral *of, const struct found *at,
   }
 }
 
-/* Sets the numerical errors of R, in ln_model, and their largest; and the model error. */
-static void set_model_errors(core_spectral *of, core_spectral_result *result) {
+/* Sets the numerical errors of readings over their standard errors, in ln_model, and the largest of R;
+ * and the model error. */
+static void set_model_errors(core_spectral *of, const struct quadratic *q,
+                             core_spectral_result *result) {
   result->model_error = 0;
   result->numerical_error = 0;
   for (size_t l = 0; l < of->wavelengths; l++) {
@@ -667,8 +675,13 @@ static void set_model_errors(core_spectral *of, core_spectral_result *result) {
         fit_numerical_errors(&of->fit->model, of->media[l], &of->fit->places, errors);
     result->model_error = error > result->model_error || isnan(error) ? error : result->model_error;
     for (size_t i = 0; i < of->places; i++) {
+      const size_t at = l * of->places + i;
       errors[i] = fault.field == NULL ? errors[i] : (double)INFINITY;
       result->numerical_error = real_max(result->numerical_error, errors[i]);
+      const unsigned quantity = fit_quantity_of(&of->fit->places, i);
+      errors[i] *= quantity == 0                     ? fabs(residual_of(of, q, at).f)
+                   : quantity == CORE_QUANTITY_PHASE ? DEGREES / of->errors[at]
+                                                     : of->model[at] / of->errors[at];
     }
   }
 }
@@ -721,7 +734,7 @@ static void put_result(core_spectral *of, core_spectral_result *result, double *
   bool bound = false, vague = !(at.q.factor > 0), precise = true, second = false;
   at.plausible = at.q.chi_squared <= fit_chi_squared_most(spare);
   decompose(&at.q, n, NULL, &at.by);
-  set_model_errors(of, result);
+  set_model_errors(of, &at.q, result);
   result->factor = at.q.factor;
   result->chi_squared = at.q.chi_squared;
   result->reduced_chi_squared = spare > 0 ? at.q.chi_squared / (double)spare : (double)NAN;

@@ -1,8 +1,9 @@
 #include "core/fit/values.h"
 
-#include "core/fit/fit.h"
 #include "core/kernels.h"
 #include "core/model_error.h"
+#include "core/paths.h"
+#include "core/transport/functions.h"
 
 #define CORE_REAL 64
 #include "core/kernel.h"
@@ -193,9 +194,9 @@ static core_fault differentiate(const struct fit_model *model, struct fit_place 
   return fault;
 }
 
-core_fault fit_values(const struct fit_model *model, struct fit_place place,
-                      const struct fit_places *places, double *value, double *by_ratio,
-                      double *by_scattering) {
+static core_fault constant_values(const struct fit_model *model, struct fit_place place,
+                                  const struct fit_places *places, double *value, double *by_ratio,
+                                  double *by_scattering) {
   if (model->table != NULL) {
     look_up(model, place, places, value, by_ratio, by_scattering);
     return (core_fault){0};
@@ -218,8 +219,8 @@ core_fault fit_values(const struct fit_model *model, struct fit_place place,
   return fault;
 }
 
-core_fault fit_numerical_errors(const struct fit_model *model, struct fit_place place,
-                                const struct fit_places *places, double *errors) {
+static core_fault constant_errors(const struct fit_model *model, struct fit_place place,
+                                  const struct fit_places *places, double *errors) {
   const core_medium medium = fit_medium(model, place);
   const double ln_sigma_t_prime = fit_ln(core_sigma_t_prime(&medium));
   core_profile profile = {0};
@@ -246,6 +247,144 @@ core_fault fit_numerical_errors(const struct fit_model *model, struct fit_place 
   }
   if (model->table == NULL && fault.field == NULL) {
     core_profile_free(&profile);
+  }
+  return fault;
+}
+
+/* ---- modulated light ------------------------------------------------------------------------- */
+
+enum { NODES = CORE_MODULATION_NODES_MAX, READINGS = CORE_FIT_MODULATED_MAX };
+
+/* R and its derivatives, by ln_ratio and ln_scattering, for more or less absorption. */
+struct at_nodes {
+  core_nodes nodes;
+  double sigma_a_per_mm;
+  struct fit_place place[NODES];
+  double ln_R[NODES][READINGS], by_ratio[NODES][READINGS], by_scattering[NODES][READINGS];
+};
+
+/* Sets the nodes of a medium. Those for the fastest modulation serve the slower ones. */
+static core_fault set_nodes(const struct fit_model *model, struct fit_place place,
+                            const struct fit_places *places, struct at_nodes *at) {
+  const double ln_least = real_log(CORE_FIT_RATIO_MIN, 0),
+               ln_most = real_log(CORE_FIT_RATIO_MAX, 0);
+  at->sigma_a_per_mm = fit_medium(model, place).sigma_a_per_mm;
+  at->nodes = core_nodes_around(
+      model->table != NULL, real_exp_signed(0.5 * (ln_least + place.ln_scattering)),
+      core_modulated_u(at->sigma_a_per_mm, places->wavenumber_most_per_mm));
+  for (unsigned j = 0; j < at->nodes.count; j++) {
+    at->place[j] = place;
+    at->place[j].ln_ratio = 2 * fit_ln(at->nodes.u[j]) - place.ln_scattering;
+  }
+  return at->place[0].ln_ratio > ln_most
+             ? (core_fault){"mhz", "less: the model does not cover as much absorption", 0}
+             : (core_fault){0};
+}
+
+/* Evaluates R at the nodes, and its derivatives if `slopes`. */
+static core_fault fill_nodes(const struct fit_model *model, struct fit_place place,
+                             const struct fit_places *places, bool slopes, struct at_nodes *at) {
+  core_fault fault = set_nodes(model, place, places, at);
+  for (unsigned j = 0; j < at->nodes.count && fault.field == NULL; j++) {
+    double *by_ratio = at->by_ratio[j], *by_scattering = at->by_scattering[j];
+    fault = constant_values(model, at->place[j], places, at->ln_R[j], slopes ? by_ratio : NULL,
+                            slopes ? by_scattering : NULL);
+    for (size_t i = 0; i < places->count && fault.field == NULL; i++) {
+      const double R = real_max(at->ln_R[j][i], 0x1p-1022);
+      by_ratio[i] = slopes ? by_ratio[i] / R : 0;
+      by_scattering[i] = slopes ? by_scattering[i] / R : 0;
+      at->ln_R[j][i] = fit_ln(R);
+    }
+  }
+  return fault;
+}
+
+/* A reading, continued to its frequency, and to none. */
+struct modulated {
+  core_continuation to[2];
+  core_continued at[2];
+};
+
+/* Returns whether R is known. `to` is kept while the frequency is the same. */
+static bool continue_reading(const struct fit_places *places, const struct at_nodes *nodes,
+                             size_t i, struct modulated *one) {
+  const double *wavenumber = places->wavenumber_per_mm;
+  if (i == 0 || wavenumber[i] < wavenumber[i - 1] || wavenumber[i] > wavenumber[i - 1]) {
+    const double complex u = core_modulated_u(nodes->sigma_a_per_mm, wavenumber[i]);
+    one->to[0] = core_continue_to(&nodes->nodes, u);
+  }
+  for (int k = 0; k < 2; k++) {
+    one->at[k] = core_continue(&nodes->nodes, &one->to[k], &nodes->ln_R[0][i], READINGS);
+  }
+  return one->at[0].is_known && one->at[1].is_known;
+}
+
+/* Returns the logarithm whose real part is ln of the reading, or whose imaginary part is its angle;
+ * from the logarithms at both ends. */
+static double part_of(unsigned quantity, double complex there, double complex here) {
+  return quantity == CORE_QUANTITY_PHASE        ? -(180 / FN_PI) * cimag(there)
+         : quantity == CORE_QUANTITY_MODULATION ? creal(there - here)
+                                                : creal(there);
+}
+
+core_fault fit_values(const struct fit_model *model, struct fit_place place,
+                      const struct fit_places *places, double *value, double *by_ratio,
+                      double *by_scattering) {
+  if (!places->modulated) {
+    return constant_values(model, place, places, value, by_ratio, by_scattering);
+  }
+  struct at_nodes nodes;
+  struct modulated one;
+  core_fault fault = fill_nodes(model, place, places, by_ratio != NULL, &nodes);
+  one.to[1] = core_continue_to(&nodes.nodes, sqrt(nodes.sigma_a_per_mm));
+  for (size_t i = 0; i < places->count && fault.field == NULL; i++) {
+    const unsigned quantity = fit_quantity_of(places, i);
+    double complex by_a[2] = {0, 0}, by_s[2] = {0, 0}; /* by ln sigma_a, and ln sigma_s' */
+    if (!continue_reading(places, &nodes, i, &one)) {
+      return (core_fault){"mhz", "less: R is not known for so much", i};
+    }
+    for (int k = 0; k < 2; k++) {
+      for (unsigned j = 0; j < nodes.nodes.count; j++) {
+        const double complex share = one.to[k].weight[j] * one.at[k].relative[j];
+        const double u = nodes.nodes.u[j];
+        by_a[k] += share * (nodes.by_ratio[j][i] * (nodes.sigma_a_per_mm / (u * u)));
+        by_s[k] += share * (nodes.by_scattering[j][i] - nodes.by_ratio[j][i]);
+      }
+    }
+    const double part = part_of(quantity, one.at[0].ln_R, one.at[1].ln_R);
+    const bool is_phase = quantity == CORE_QUANTITY_PHASE;
+    value[i] = is_phase ? part : real_exp_signed(part);
+    if (by_ratio != NULL) {
+      const double unit = is_phase ? 1 : value[i];
+      by_ratio[i] = unit * part_of(quantity, by_a[0], by_a[1]);
+      by_scattering[i] = by_ratio[i] + unit * part_of(quantity, by_s[0], by_s[1]);
+    }
+  }
+  return fault;
+}
+
+core_fault fit_numerical_errors(const struct fit_model *model, struct fit_place place,
+                                const struct fit_places *places, double *errors) {
+  if (!places->modulated) {
+    return constant_errors(model, place, places, errors);
+  }
+  struct at_nodes nodes;
+  struct modulated one;
+  core_fault fault = fill_nodes(model, place, places, false, &nodes);
+  for (unsigned j = 0; j < nodes.nodes.count && fault.field == NULL; j++) {
+    fault = constant_errors(model, nodes.place[j], places, nodes.by_ratio[j]);
+  }
+  one.to[1] = core_continue_to(&nodes.nodes, sqrt(nodes.sigma_a_per_mm));
+  for (size_t i = 0; i < places->count && fault.field == NULL; i++) {
+    const unsigned quantity = fit_quantity_of(places, i);
+    const core_continuation *const to[2] = {&one.to[0], quantity == 0 ? NULL : &one.to[1]};
+    double error[NODES];
+    continue_reading(places, &nodes, i, &one);
+    for (unsigned j = 0; j < nodes.nodes.count; j++) {
+      error[j] = nodes.by_ratio[j][i];
+    }
+    errors[i] =
+        core_continued_error(&nodes.nodes, quantity == CORE_QUANTITY_PHASE, to, one.at, error);
   }
   return fault;
 }

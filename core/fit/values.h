@@ -5,6 +5,7 @@
 
 #include "core/core.h"
 #include "core/fit/aperture.h"
+#include "core/fit/fit.h"
 #include "core/fit/loops.h"
 #include "core/varying.h"
 
@@ -35,6 +36,10 @@ struct fit_places {
   double *ln_at; /* ln of `at`; for 0, ln of the least normal number */
   double *weight;
   core_radii_range radii; /* range of all distances; least > most for frequencies */
+  /* Whether light is modulated; [count] what readings are, omega n / c, and the largest of these */
+  bool modulated;
+  const double *quantity;
+  double *wavenumber_per_mm, wavenumber_most_per_mm;
 };
 
 /* A medium by ln(sigma_a / sigma_s') and ln(sigma_s'), sigma_s' in 1/mm. */
@@ -49,8 +54,13 @@ core_medium fit_medium(const struct fit_model *model, struct fit_place place);
 double fit_model_error(const struct fit_model *model, const core_medium *medium,
                        const struct fit_places *places);
 
-/* Sets errors[count] to the numerical errors of what fit_values() gives, relative. Returns the fault
- * of a medium that the model does not take. */
+/* Returns what reading i is: 0, PHASE or MODULATION. A factor of R does not change these two. */
+static inline unsigned fit_quantity_of(const struct fit_places *places, size_t i) {
+  return places->modulated ? (unsigned)places->quantity[i] : 0;
+}
+
+/* Sets errors[count] to the numerical errors of what fit_values() gives, relative, of phases in
+ * radians. Returns the fault of a medium that the model does not take. */
 core_fault fit_numerical_errors(const struct fit_model *model, struct fit_place place,
                                 const struct fit_places *places, double *errors);
 

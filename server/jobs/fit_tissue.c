@@ -9,7 +9,7 @@
 #include "server/jobs/tissue.h"
 
 /* Parts of a request and of a reply. */
-enum { PROPERTY, SOUGHT, AT, SOURCE, DETECTOR, WAVELENGTH, VALUES, ERRORS };
+enum { PROPERTY, SOUGHT, AT, SOURCE, DETECTOR, MHZ, QUANTITY, WAVELENGTH, VALUES, ERRORS };
 enum { SETS, ESTIMATES, COVARIANCE, RESIDUALS };
 
 /* Evaluations of a search, on average, and the most radii of a dipole of a small request. */
@@ -18,7 +18,7 @@ enum { EVALUATIONS = 60, SMALL_RADII = 8 * JOB_SLICE_RADII };
 /* An unknown without a value that is given starts at this share of the range between its limits. */
 #define START_SHARE 0.02
 
-/* What the places of a request have in common; the arrays at, source and detector follow. */
+/* What the places of a request have in common; the arrays at to quantity follow. */
 struct places {
   uint32_t model, axis, scale, count;
   double g, eta, thickness_mm, detector_na;
@@ -63,7 +63,9 @@ static core_fit_design design_of(const struct places *places) {
                            .detector_mm = at + 2 * (size_t)places->count,
                            .detector_na = places->detector_na,
                            .scale = places->scale,
-                           .of_spectra = true};
+                           .of_spectra = true,
+                           .mhz = at + 3 * (size_t)places->count,
+                           .quantity = at + 4 * (size_t)places->count};
 }
 
 static core_fault prepare_places(void *thing, const struct cache_key *key, const core_isa *isa,
@@ -87,7 +89,7 @@ static const struct cache_kind places_kind = {.thing_bytes = sizeof(core_fit *),
                                               .bytes = places_bytes_of};
 
 static size_t place_bytes(const struct tissue_fit *of) {
-  return sizeof(struct places) + 3 * sizeof(double) * (size_t)of->fixed.place_count;
+  return sizeof(struct places) + 5 * sizeof(double) * (size_t)of->fixed.place_count;
 }
 
 static wire_error out_of_memory(void) {
@@ -111,7 +113,7 @@ static wire_error take_places(struct tissue_fit *of) {
                                 value[CORE_PROPERTY_ETA],
                                 value[CORE_PROPERTY_THICKNESS],
                                 fixed->detector_na};
-  for (unsigned i = 0; i < 3; i++) {
+  for (unsigned i = 0; i < 5; i++) {
     memcpy((double *)(of->places + 1) + i * (size_t)fixed->place_count, numbers_of(of, AT + i),
            fixed->place_count * sizeof(double));
   }

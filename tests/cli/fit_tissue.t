@@ -48,6 +48,33 @@ shift a value; chi2 is the sum of the squares of (reading - fit) / error
 ! dipole fit: standard input: 1 of 1 samples were not fitted whole: see the column status
 ? 3
 
+$ dipole eval --tissue hbo2=56,hb=24,water=.6,fat=.3,a=1.9,b=1.2,g=0 --wavelengths 650:1000:50 --r 15,20,25 --mhz 100 --wanted R,phase,modulation --evaluator f64 --format csv | awk -F, 'NR == 1 { for (i = 1; i <= NF; i++) c[$i] = i; print "wavelength_nm,r,mhz,R,error,phase,phase_error"; next } { R = 7 * $c["R"] * $c["modulation"]; print $c["wavelength_nm"] "," $c["r"] ",100," R "," R / 100 "," $c["phase"] ",.2" }' > waves.csv
+
+$ dipole fit waves.csv --unknown hbo2,hb,water,fat,a,b --tissue g=0 --scale free
+g=0, haemoglobin by prahl, model transport, moments exact, g 0, eta 1.4, scale free
+
+sample  unknown           value   error  numerical  status  scale  its error       chi2  readings  condition  sample is
+------  --------------  -------  ------  ---------  ------  -----  ---------  ---------  --------  ---------  ---------
+1       hbo2_uM              56    0.34    4.5e-02  fitted      7      0.063  6.241e-06        48       11.3     fitted
+1       hb_uM                24    0.15    2.1e-02  fitted      7      0.063  6.241e-06        48       11.3     fitted
+1       water_fraction      0.6  0.0042    5.6e-04  fitted      7      0.063  6.241e-06        48       11.3     fitted
+1       fat_fraction    0.29999    0.02    1.9e-03  fitted      7      0.063  6.241e-06        48       11.3     fitted
+1       a_per_mm            1.9   0.015    2.1e-03  fitted      7      0.063  6.241e-06        48       11.3     fitted
+1       b                   1.2   0.017    2.3e-03  fitted      7      0.063  6.241e-06        48       11.3     fitted
+1       saturation          0.7   0.002          -  fitted      7      0.063  6.241e-06        48       11.3     fitted
+1       total_uM             80    0.35          -  fitted      7      0.063  6.241e-06        48       11.3     fitted
+
+errors are standard errors, inf where a value has none; numerical: how far numerical errors of R may
+shift a value; chi2 is the sum of the squares of (reading - fit) / error
+
+$ cut -d, -f1-6 waves.csv | dipole fit --unknown hbo2 --tissue a=1,b=1
+! dipole fit: standard input: the column phase_error is missing; the header has wavelength_nm, r, mhz, R, error, phase; it needs wavelength_nm, r (mm) or f (1/mm), R and error for --unknown, and may have sample, source_mm, detector_mm; of modulated light mhz, phase (degrees), phase_error, modulation, modulation_error
+? 1
+
+$ sed 1s/R,error/x,y/ waves.csv | dipole fit --unknown hbo2 --tissue a=1,b=1,g=0 --scale free
+! dipole fit: sample 1: bad-value: scale: allowed: absolute: phases and modulations have no factor (--scale)
+? 1
+
 $ head -14 bands.csv | dipole fit --unknown hbo2,hb --tissue a=1,b=1
 ! dipole fit: standard input: sample 1: each wavelength needs one reading at each of the same places
 ? 1
@@ -77,5 +104,5 @@ $ dipole fit bands.csv --tissue liver
 ? 2
 
 $ cut -d, -f1,3- bands.csv | dipole fit --unknown hbo2 --tissue a=1,b=1
-! dipole fit: standard input: the column r or f (one of both) is missing; the header has wavelength_nm, R, error; it needs wavelength_nm, r (mm) or f (1/mm), R and error for --unknown, and may have sample, source_mm and detector_mm
+! dipole fit: standard input: the column r or f (one of both) is missing; the header has wavelength_nm, R, error; it needs wavelength_nm, r (mm) or f (1/mm), R and error for --unknown, and may have sample, source_mm, detector_mm; of modulated light mhz, phase (degrees), phase_error, modulation, modulation_error
 ? 1

@@ -278,7 +278,7 @@ def tissue_payload(properties=((32, 1.0), (33, 1.0), (3, 0.7)), wavelengths=(650
 def fit_tissue_payload(
     sought=((1, 0.0, 0.0), (2, 0.0, 0.0)), properties=((32, 2.0), (33, 1.0)),
     wavelengths=(690.0, 830.0), at=(5.0,), values=((2e-4, 2e-4),), errors=((1e-5, 1e-5),),
-    discs=None, **fixed: float,
+    discs=None, mhz=(0.0,), quantity=(0.0,), **fixed: float,
 ) -> bytes:
     """Makes the payload of a fit of a tissue under the better dipole: haemoglobin by default. Counts fit
     unless `fixed` has others."""
@@ -288,7 +288,7 @@ def fit_tissue_payload(
         "wavelength_count": len(wavelengths), "place_count": len(at), "detector_na": 0.0,
     }  # fmt: skip
     listed = [wire.SOUGHT.pack(property=id, low=low, high=high) for id, low, high in sought]
-    places = np.asarray([at, *(discs or np.zeros((2, len(at))))], "<f8").tobytes()
+    places = np.asarray([at, *(discs or np.zeros((2, len(at)))), *np.broadcast_arrays(mhz, quantity, at)[:2]], "<f8").tobytes()
     arrays = [np.asarray(one, "<f8").tobytes() for one in (wavelengths, values, errors)]
     lists = [parameters_bytes(properties), *listed, places, *arrays]
     return b"".join([wire.FIT_TISSUE_REQUEST.pack(**fields | fixed), *lists])

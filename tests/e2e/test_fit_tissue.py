@@ -50,6 +50,29 @@ def test_a_tissue_comes_back_with_its_saturation(daemon):
         assert (reply["g"], reply["eta"]) == (0.9, 1.4)
 
 
+def test_amplitudes_and_phases_are_fitted_without_their_scale(daemon):
+    """Python and HTTP send the same bits; a phase has no factor, and its unit is the degree."""
+    one = daemon("--http", "127.0.0.1:0")
+    with one.client() as client:
+        media = client.tissue(NM, properties=TRUTH | {"g": 0})
+        made = client.eval("transport", media, AT_MM[1:], wanted=["R", "phase", "modulation"],
+                           parameters={"mhz": 80}, evaluator="f64")  # fmt: skip
+        values = np.concatenate([3 * made.R * made.modulation, made.phase, made.modulation], axis=1)
+        errors = np.concatenate([0.03 * made.R, made.phase * 0 + 0.2, made.phase * 0 + 0.01], axis=1)
+        quantity = ["R"] * 3 + ["phase"] * 3 + ["modulation"] * 3
+        fits = client.fit_tissue(
+            list(TRUTH), NM, AT_MM[1:] * 3, values, errors, properties={"g": 0}, scale="free", mhz=80, quantity=quantity
+        )
+        assert fits.status() == "fitted" and fits.sets["factor"] == pytest.approx(3, rel=1e-3)
+        for name, estimate in fits.estimates.items():
+            assert abs(estimate["value"] - TRUTH[name]) < estimate["numerical"] + 1e-6
+        ids = {"R": 0, "phase": 262144, "modulation": 524288}
+        asked = {"wavelength": NM, "at": AT_MM[1:] * 3, "mhz": [80] * 9, "quantity": [ids[q] for q in quantity]}
+        asked |= {"values": values.ravel().tolist(), "errors": errors.ravel().tolist(), "g": 0, "scale": "free"}
+        reply = post(one, "/v1/fit_tissue", sought=list(TRUTH), **asked).json
+        assert [each["value"] for each in reply["estimates"]] == [e["value"] for e in fits.estimates.values()]
+
+
 def test_another_table_of_haemoglobin_gives_other_amounts(daemon):
     """Fitting with Prahl's table what UCL's has made: the total is a tenth too high (Jacques' R49 to R57
     and UCL's numbers), and the reply says which table it is."""

@@ -995,14 +995,16 @@ def node_modules():
 
 
 VALIDATE = """
+import { readFileSync } from "fs";
 import { Validator } from "@seriousme/openapi-schema-validator";
-const result = await new Validator().validate(JSON.parse(process.argv[2]));
+const result = await new Validator().validate(JSON.parse(readFileSync(0, "utf8")));
 console.log(result.valid ? "valid" : JSON.stringify(result.errors));
 """
 
 GENERATED = """
+import { readFileSync } from "fs";
 import { OpenAPIClientAxios } from "openapi-client-axios";
-const url = process.argv[2];
+const url = readFileSync(0, "utf8");
 const api = new OpenAPIClientAxios({ definition: url + "/v1/openapi.json",
                                      axiosConfigDefaults: { baseURL: url } });
 const client = await api.init();
@@ -1012,9 +1014,9 @@ console.log(JSON.stringify([posted.data, got.data]));
 """
 
 
-def run_node(folder, name: str, script: str, argument: str) -> str:
+def run_node(folder, name: str, script: str, text: str) -> str:
     (folder / name).write_text(script)
-    done = subprocess.run(["node", name, argument], cwd=folder, capture_output=True, text=True,
+    done = subprocess.run(["node", name], cwd=folder, input=text, capture_output=True, text=True,
                           timeout=TIMEOUT_S, check=False, env={**os.environ, "NO_PROXY": "*"})
     assert done.returncode == 0, done.stderr
     return done.stdout

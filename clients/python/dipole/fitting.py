@@ -203,6 +203,8 @@ async def fit_tissue(
     haemoglobin: str | int = "prahl",
     source: Any = 0.0,
     detector: Any = 0.0,
+    mhz: Any = 0.0,
+    quantity: str | Iterable[str] = "R",
     detector_na: float = 0.0,
     residuals: bool = False,
     deadline_ms: int = 0,
@@ -216,7 +218,8 @@ async def fit_tissue(
     standard errors, of a shape that broadcasts. name, properties, haemoglobin: as of tissue(): what
     is not sought, with g=0.9 and eta=1.4 unless they are given, and where the search starts. scale,
     source, detector, residuals: as of fit(); readings over those of a known medium, times R of that
-    medium, have no unknown scale."""
+    medium, have no unknown scale. mhz: modulation of the light, one number or [P]; quantity: what
+    is read, one name or [P]: "R", its amplitude, "phase" in degrees, or "modulation"."""
     info = session.info
     limits = sought if isinstance(sought, Mapping) else dict.fromkeys(sought)
     with naming("wavelengths_nm: one number, or an array [W]"):
@@ -240,7 +243,10 @@ async def fit_tissue(
         "residuals": int(residuals),
         "detector_na": float(detector_na),
     }
-    lists = _places(places.size, at=places, source=source, detector=detector)
+    read = [quantity] if isinstance(quantity, str) else quantity
+    reads = [0 if one == "R" else id_of(info, "quantity", one) for one in read]
+    given = {"at": places, "source": source, "detector": detector, "mhz": mhz}
+    lists = _places(places.size, **given, quantity=reads[0] if len(reads) == 1 else reads)
     lists |= {"sought": b"".join(packed), "wavelength": wavelengths.tobytes()}
     lists["property"] = parameters_of(info, properties, kind="property")
     count, size = wavelengths.size * places.size, len(packed)

@@ -147,8 +147,8 @@ tissue_request: tissue_request; parameter property[property_count];
 tissue_reply: tissue_reply; medium media[wavelength_count]
 fit_tissue_request: fit_tissue_request; parameter property[property_count];
     sought sought[sought_count]; f64 at[place_count]; f64 source[place_count];
-    f64 detector[place_count]; f64 wavelength[wavelength_count];
-    f64 values[place_count*set_count*wavelength_count];
+    f64 detector[place_count]; f64 mhz[place_count]; f64 quantity[place_count];
+    f64 wavelength[wavelength_count]; f64 values[place_count*set_count*wavelength_count];
     f64 errors[place_count*set_count*wavelength_count]
 fit_tissue_reply: fit_tissue_reply; fitted_tissue sets[count];
     tissue_estimate estimates[count*sought_count];
