@@ -8,9 +8,7 @@ ISOTROPIC := $(call objects,$(wildcard tests/accuracy/isotropic/*.c))
 tool = $(call objects,$(wildcard core/tools/$(1)/*.c)) $(TOOLS) $(BUILD)/libcore.a
 $(BUILD)/transport-table: $(call tool,transport_table) $(ISOTROPIC)
 $(BUILD)/apertures: $(call tool,apertures)
-$(BUILD)/picture: $(OBJ)/clients/c/examples/picture.o $(BUILD)/libdipole.a
-$(BUILD)/picture: LIBS = $(TLS_LIBS)
-PROGRAMS += $(addprefix $(BUILD)/,transport-table apertures picture)
+PROGRAMS += $(addprefix $(BUILD)/,transport-table apertures)
 
 .PHONY: tables reference tradeoff apertures figures picture gather-figure colour-errors colour-furnace
 
@@ -43,10 +41,10 @@ figures: ## pictures of tissue and layers, and which model is nearer to transpor
 	cp $(BUILD)/figures/tissue.svg $(BUILD)/figures/layers.svg core/tools/
 	$(BUILD)/dipole plot --medium skin1 --model classical,better,transport --error --plot clients/cli/skin1.svg
 
-picture: ## a rabbit in marble, milk and skin by three models, clients/c/examples/picture.png
-	@sh .ci/install-packages demo
-	@$(MAKE) --no-print-directory -j2 $(BUILD)/dipoled $(BUILD)/picture
-	DIPOLED=private:$(BUILD)/dipoled $(BUILD)/picture clients/c/examples/picture.png
+picture: ## a rabbit in marble, milk and skin by three models, clients/python/examples/picture.png (minutes)
+	@sh .ci/install-packages demo figures
+	@$(MAKE) --no-print-directory -j2 $(BUILD)/dipoled
+	DIPOLED=private:$(BUILD)/dipoled PYTHONPATH=clients/python $(PYTHON) clients/python/examples/picture.py clients/python/examples/picture.png
 
 # Error against time, time against points, and sheets of light: some three minutes.
 gather-figure: $(BUILD)/bench $(BUILD)/tests/accuracy/test_gather ## build/figures/gather.svg: light gathered from points

@@ -224,7 +224,7 @@ def test_demo(tmp_path, copied_build):
         assert f"{copied_build}/demo/skin1.{suffix}" in run.stdout
     check_png(copied_build / "demo" / "skin1.png")
     assert svg_lines(copied_build / "demo" / "skin1.svg") == 9
-    assert list(folder.iterdir()) == []  # The daemon and its socket are gone.
+    assert list(folder.iterdir()) == []
 
 
 def test_demo_without_programs(tmp_path):
@@ -239,5 +239,5 @@ def test_demo_with_a_daemon_that_does_not_start(tmp_path, copied_build):
     folder.mkdir()
     run = run_demo(copied_build, folder)
     assert run.returncode != 0
-    assert "the daemon ended before it was ready" in run.stderr and "out of sockets" in run.stderr
+    assert "demo: the evaluation failed" in run.stderr and "out of sockets" in run.stderr
     assert list(folder.iterdir()) == []
