@@ -119,11 +119,6 @@ uint64_t fit_residuals_offset(uint64_t set_count) {
   return WIRE_BYTES_fit_reply + set_count * WIRE_BYTES_fitted;
 }
 
-uint64_t fit_reply_bytes(uint64_t set_count, uint32_t residuals) {
-  const wire_fit_reply fixed = {.count = set_count, .reading_count = residuals};
-  return schema_bytes(&schema_fit_reply, &fixed);
-}
-
 bool fit_reply_parse(const uint8_t *payload, size_t payload_bytes, wire_fit_reply *fixed) {
   schema_layout layout;
   if (!schema_is_whole(&schema_fit_reply, payload, payload_bytes, &layout)) {

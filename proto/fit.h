@@ -38,10 +38,6 @@ void fit_design_read(const uint8_t *design_bytes, fit_design *design);
 /* Makes the structure of one result. */
 wire_fitted fit_result_encode(const core_fit_result *result);
 
-/* Returns the payload bytes of a reply, or part of one, whose sets have `residuals` residuals each.
- * set_count is at most 2^40. */
-uint64_t fit_reply_bytes(uint64_t set_count, uint32_t residuals);
-
 /* Returns the offset of the residuals, [set_count][residuals], in the payload of a reply. */
 uint64_t fit_residuals_offset(uint64_t set_count);
 

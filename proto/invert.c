@@ -16,11 +16,6 @@ uint64_t invert_array_offset(enum invert_array array, uint64_t medium_count) {
   return WIRE_BYTES_invert_reply + array * medium_count * sizeof(double);
 }
 
-uint64_t invert_reply_bytes(uint64_t medium_count) {
-  const wire_invert_reply fixed = {.count = medium_count};
-  return schema_bytes(&schema_invert_reply, &fixed);
-}
-
 bool invert_reply_parse(const uint8_t *payload, size_t payload_bytes, wire_invert_reply *fixed) {
   schema_layout layout;
   if (!schema_is_whole(&schema_invert_reply, payload, payload_bytes, &layout)) {

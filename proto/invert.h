@@ -23,9 +23,6 @@ enum invert_array {
   INVERT_ARRAYS
 };
 
-/* Returns the payload bytes of a reply, or part of one. medium_count is at most 2^58. */
-uint64_t invert_reply_bytes(uint64_t medium_count);
-
 /* Returns the offset of an array of medium_count doubles in the payload of a reply. */
 uint64_t invert_array_offset(enum invert_array array, uint64_t medium_count);
 

@@ -49,8 +49,10 @@ static bool check(const dipole_fit_query *query, dipole_error *error) {
   return true;
 }
 
-static bool send_query(dipole_client *client, const dipole_fit_query *query,
-                       libdipole_pending *pending, dipole_error *error) {
+bool dipole_fit(dipole_client *client, const dipole_fit_query *query, dipole_fits **fits,
+                dipole_error *error) {
+  const uint32_t residuals = query->residuals ? (uint32_t)query->reading_count : 0;
+  error = error != NULL ? error : &(dipole_error){0};
   if (!check(query, error)) {
     return false;
   }
@@ -67,24 +69,15 @@ static bool send_query(dipole_client *client, const dipole_fit_query *query,
   const void *const parts[] = {query->parameters, &query->reference,  query->at,
                                query->source_mm,  query->detector_mm, query->values,
                                query->errors};
-  return libdipole_request_put(client, pending, &schema_fit_request, &start, parts, error);
-}
-
-bool dipole_fit(dipole_client *client, const dipole_fit_query *query, dipole_fits **fits,
-                dipole_error *error) {
-  const uint32_t residuals = query->residuals ? (uint32_t)query->reading_count : 0;
+  const wire_fit_reply most = {.count = query->set_count, .reading_count = residuals};
+  const libdipole_shape shape = {&schema_fit_reply, &most, true};
   libdipole_pending pending = {.kind = &kind,
                                .type = WIRE_TYPE_FIT,
                                .deadline_ms = query->deadline_ms,
-                               .reply_bytes_min = WIRE_BYTES_fit_reply,
-                               .reply_bytes_max = fit_reply_bytes(query->set_count, residuals),
                                .medium_count = residuals,
                                .radius_count = query->set_count};
-  error = error != NULL ? error : &(dipole_error){0};
-  if (!send_query(client, query, &pending, error)) {
-    return false;
-  }
-  libdipole_frame *frame = libdipole_reply(client, &pending, error);
+  libdipole_frame *frame =
+      libdipole_ask(client, &pending, &schema_fit_request, &start, parts, &shape, error);
   if (frame == NULL) {
     return false;
   }
@@ -102,10 +95,6 @@ bool dipole_fit(dipole_client *client, const dipole_fit_query *query, dipole_fit
   return true;
 }
 
-void dipole_fits_free(dipole_fits *fits) {
-  free(fits); /* with its frame */
-}
-
 /* ---- layers -------------------------------------------------------------------------------- */
 
 bool dipole_fit_layers(dipole_client *client, const dipole_layers_query *query,
@@ -121,22 +110,19 @@ bool dipole_fit_layers(dipole_client *client, const dipole_layers_query *query,
                                          .unknowns = (uint16_t)query->unknowns,
                                          .layer_count = query->layer_count,
                                          .reading_count = (uint32_t)query->reading_count};
-  const wire_fit_layers_reply shape = {.unknowns = start.unknowns,
-                                       .reading_count = start.reading_count};
-  const uint64_t bytes = schema_bytes(&schema_fit_layers_reply, &shape);
+  const wire_fit_layers_reply wanted = {.unknowns = start.unknowns,
+                                        .reading_count = start.reading_count};
+  const libdipole_shape shape = {&schema_fit_layers_reply, &wanted, false};
   const void *const parts[] = {query->layers, query->at, query->values, query->errors};
-  libdipole_pending pending = {.kind = &libdipole_plain,
-                               .type = WIRE_TYPE_FIT_LAYERS,
-                               .deadline_ms = query->deadline_ms,
-                               .reply_bytes_min = bytes,
-                               .reply_bytes_max = bytes};
-  libdipole_frame *frame = NULL;
-  if (!libdipole_request_put(client, &pending, &schema_fit_layers_request, &start, parts, error) ||
-      (frame = libdipole_reply(client, &pending, error)) == NULL) {
+  libdipole_pending pending = {
+      .kind = &libdipole_plain, .type = WIRE_TYPE_FIT_LAYERS, .deadline_ms = query->deadline_ms};
+  libdipole_frame *frame =
+      libdipole_ask(client, &pending, &schema_fit_layers_request, &start, parts, &shape, error);
+  if (frame == NULL) {
     return false;
   }
   const wire_fit_layers_reply *fixed = (const void *)frame->payload;
-  if (fixed->unknowns != shape.unknowns || fixed->reading_count != shape.reading_count) {
+  if (fixed->unknowns != wanted.unknowns || fixed->reading_count != wanted.reading_count) {
     free(frame);
     return libdipole_bad_reply(client, "a fit of layers is of other readings", error);
   }
@@ -156,8 +142,4 @@ bool dipole_fit_layers(dipole_client *client, const dipole_layers_query *query,
   };
   *fit = &frame->layers_fit;
   return true;
-}
-
-void dipole_layers_fit_free(dipole_layers_fit *fit) {
-  free(fit); /* with its frame */
 }

@@ -44,10 +44,15 @@ static bool check(const dipole_invert_query *query, dipole_error *error) {
                                   "albedos or lengths_mm is NULL although medium_count is not 0"));
 }
 
-static bool send_query(dipole_client *client, const dipole_invert_query *query,
-                       libdipole_pending *pending, dipole_error *error) {
+bool dipole_invert(dipole_client *client, const dipole_invert_query *query,
+                   dipole_inversion **inversion, dipole_error *error) {
   const void *const parts[] = {query->albedos, query->lengths_mm};
-  const wire_invert_request fixed = {.model = (uint16_t)query->model,
+  const wire_invert_reply most = {.count = query->medium_count};
+  libdipole_pending pending = {.kind = &kind,
+                               .type = WIRE_TYPE_INVERT,
+                               .deadline_ms = query->deadline_ms,
+                               .radius_count = query->medium_count};
+  const wire_invert_request start = {.model = (uint16_t)query->model,
                                      .moments = (uint16_t)query->moments,
                                      .given = (uint16_t)query->given,
                                      .light = (uint16_t)query->light,
@@ -55,24 +60,11 @@ static bool send_query(dipole_client *client, const dipole_invert_query *query,
                                      .medium_count = (uint32_t)query->medium_count,
                                      .g = query->g,
                                      .eta = query->eta};
-  return check(query, error) &&
-         libdipole_request_put(client, pending, &schema_invert_request, &fixed, parts, error);
-}
-
-bool dipole_invert(dipole_client *client, const dipole_invert_query *query,
-                   dipole_inversion **inversion, dipole_error *error) {
-  libdipole_pending pending = {.kind = &kind,
-                               .type = WIRE_TYPE_INVERT,
-                               .deadline_ms = query->deadline_ms,
-                               .reply_bytes_min = WIRE_BYTES_invert_reply,
-                               .reply_bytes_max = invert_reply_bytes(query->medium_count),
-                               .radius_count = query->medium_count};
+  const libdipole_shape shape = {&schema_invert_reply, &most, true};
+  libdipole_frame *frame = NULL;
   error = error != NULL ? error : &(dipole_error){0};
-  if (!send_query(client, query, &pending, error)) {
-    return false;
-  }
-  libdipole_frame *frame = libdipole_reply(client, &pending, error);
-  if (frame == NULL) {
+  if (!check(query, error) || (frame = libdipole_ask(client, &pending, &schema_invert_request,
+                                                     &start, parts, &shape, error)) == NULL) {
     return false;
   }
   const wire_invert_reply *fixed = (const void *)frame->payload;
@@ -86,8 +78,4 @@ bool dipole_invert(dipole_client *client, const dipole_invert_query *query,
                                         .albedo_most = fixed->albedo_most};
   *inversion = &frame->inversion;
   return true;
-}
-
-void dipole_inversion_free(dipole_inversion *inversion) {
-  free(inversion); /* with its frame */
 }

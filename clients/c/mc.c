@@ -224,10 +224,6 @@ bool dipole_mc(dipole_client *client, const dipole_mc_query *query,
   }
 }
 
-void dipole_mc_result_free(dipole_mc_result *result) {
-  free(result); /* with its frame */
-}
-
 static mc_layout layout_of(const dipole_mc_result *result) {
   mc_layout layout;
   mc_reply_layout(result->side_count, result->albedo_count, result->ring_count, &layout);

@@ -146,3 +146,17 @@ bool libdipole_part_take(libdipole_pending *pending, libdipole_frame *frame, dip
   free(frame);
   return good;
 }
+
+/* ---- results: each is the first member of its frame, so this frees the whole frame -------------- */
+
+#define FREE_WITH_FRAME(type)                                                                      \
+  void type##_free(type *result) {                                                                 \
+    free(result);                                                                                  \
+  }
+FREE_WITH_FRAME(dipole_result)
+FREE_WITH_FRAME(dipole_inversion)
+FREE_WITH_FRAME(dipole_fits)
+FREE_WITH_FRAME(dipole_layers_fit)
+FREE_WITH_FRAME(dipole_tissue_fits)
+FREE_WITH_FRAME(dipole_varying_result)
+FREE_WITH_FRAME(dipole_mc_result)

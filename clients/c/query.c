@@ -95,6 +95,18 @@ bool libdipole_request_put(dipole_client *client, libdipole_pending *pending,
   return libdipole_request_send(client, error);
 }
 
+libdipole_frame *libdipole_ask(dipole_client *client, libdipole_pending *pending,
+                               const schema_payload *payload, const void *start,
+                               const void *const parts[], const libdipole_shape *reply,
+                               dipole_error *error) {
+  pending->reply_bytes_max = schema_bytes(reply->payload, reply->most);
+  pending->reply_bytes_min =
+      reply->may_be_less ? reply->payload->fixed_bytes : pending->reply_bytes_max;
+  return libdipole_request_put(client, pending, payload, start, parts, error)
+             ? libdipole_reply(client, pending, error)
+             : NULL;
+}
+
 /* ---- eval and offers ----------------------------------------------------------------------- */
 
 void dipole_query_init(dipole_query *query) {
@@ -196,18 +208,21 @@ static bool collect(dipole_client *client, uint64_t *id, dipole_result **result,
   return libdipole_result_take(client, &pending, result, error);
 }
 
+/* Waits for the reply to a request, which is given up if none comes in time. */
+static bool collect_or_drop(dipole_client *client, uint64_t id, dipole_result **result,
+                            dipole_error *error) {
+  const bool good = collect(client, &id, result, error);
+  if (!good) {
+    libdipole_request_drop(client, id);
+  }
+  return good;
+}
+
 bool dipole_eval(dipole_client *client, const dipole_query *query, dipole_result **result,
                  dipole_error *error) {
   uint64_t id;
   error = error != NULL ? error : &(dipole_error){0};
-  if (!submit(client, query, NULL, &id, error)) {
-    return false;
-  }
-  const bool good = collect(client, &id, result, error);
-  if (!good) {
-    libdipole_request_drop(client, id); /* in case no reply came in time */
-  }
-  return good;
+  return submit(client, query, NULL, &id, error) && collect_or_drop(client, id, result, error);
 }
 
 bool dipole_eval_parts(dipole_client *client, const dipole_query *query,
@@ -346,15 +361,8 @@ bool dipole_sample(dipole_client *client, const dipole_sample_query *query, dipo
   libdipole_pending pending = {
       .kind = &libdipole_sample_kind, .type = WIRE_TYPE_SAMPLE, .deadline_ms = query->deadline_ms};
   error = error != NULL ? error : &(dipole_error){0};
-  if (!send_sample(client, query, &pending, error)) {
-    return false;
-  }
-  const uint64_t id = pending.id;
-  if (!libdipole_request_wait(client, id, NULL, &pending, error)) {
-    libdipole_request_drop(client, id); /* in case no reply came in time */
-    return false;
-  }
-  return libdipole_result_take(client, &pending, result, error);
+  return send_sample(client, query, &pending, error) &&
+         collect_or_drop(client, pending.id, result, error);
 }
 
 bool dipole_sample_numbers(const dipole_sample_query *query, uint64_t begin, size_t n, void *u,

@@ -27,4 +27,17 @@ bool libdipole_request_put(dipole_client *client, libdipole_pending *pending,
                            const schema_payload *payload, const void *start,
                            const void *const parts[], dipole_error *error);
 
+/* The reply that a request may have. */
+typedef struct libdipole_shape {
+  const schema_payload *payload;
+  const void *most; /* a first structure with the largest counts */
+  bool may_be_less; /* whether a frame may have less, as one of several or a shorter one */
+} libdipole_shape;
+
+/* Sends a request like libdipole_request_put(), and waits for its reply like libdipole_reply(). */
+libdipole_frame *libdipole_ask(dipole_client *client, libdipole_pending *pending,
+                               const schema_payload *payload, const void *start,
+                               const void *const parts[], const libdipole_shape *reply,
+                               dipole_error *error);
+
 #endif

@@ -187,10 +187,6 @@ dipole_errors dipole_errors_of(const dipole_result *result, uint32_t channel, un
   return (dipole_errors){error.numerical_error, error.numerical_error_per_mm, error.model_error};
 }
 
-void dipole_result_free(dipole_result *result) {
-  free(result); /* The result is the first member of the frame, so this frees the whole frame. */
-}
-
 static void hand_on(libdipole_pending *pending, libdipole_frame *part) {
   libdipole_reader *reader = pending->reader;
   const wire_eval_reply *fixed = (const void *)part->payload;

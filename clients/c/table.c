@@ -230,13 +230,10 @@ libdipole_frame *libdipole_table_request(dipole_client *client, const dipole_tab
                                .type = WIRE_TYPE_TABLE,
                                .deadline_ms = query->deadline_ms,
                                .medium_count = 1,
-                               .layer_count = start.layer_count,
-                               .reply_bytes_min = WIRE_BYTES_table_reply,
-                               .reply_bytes_max = schema_bytes(&schema_table_reply, &most)};
+                               .layer_count = start.layer_count};
+  const libdipole_shape shape = {&schema_table_reply, &most, true};
   libdipole_frame *frame =
-      libdipole_request_put(client, &pending, &schema_table_request, &start, parts, error)
-          ? libdipole_reply(client, &pending, error)
-          : NULL;
+      libdipole_ask(client, &pending, &schema_table_request, &start, parts, &shape, error);
   if (frame != NULL) {
     wire_put_header(libdipole_frame_bytes(frame), &frame->header);
   }

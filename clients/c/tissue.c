@@ -21,22 +21,20 @@ bool dipole_tissue(dipole_client *client, const dipole_tissue_query *query, dipo
                                      .property_count = (uint32_t)query->property_count,
                                      .wavelength_count = query->wavelength_count};
   const void *const parts[] = {query->properties, query->wavelengths_nm};
-  const size_t media_bytes = (size_t)query->wavelength_count * sizeof *media;
-  libdipole_pending pending = {.kind = &libdipole_plain,
-                               .type = WIRE_TYPE_TISSUE,
-                               .deadline_ms = query->deadline_ms,
-                               .reply_bytes_min = WIRE_BYTES_tissue_reply + media_bytes,
-                               .reply_bytes_max = WIRE_BYTES_tissue_reply + media_bytes};
-  libdipole_frame *frame = NULL;
-  if (!libdipole_request_put(client, &pending, &schema_tissue_request, &start, parts, error) ||
-      (frame = libdipole_reply(client, &pending, error)) == NULL) {
+  const wire_tissue_reply wanted = {.wavelength_count = query->wavelength_count};
+  const libdipole_shape shape = {&schema_tissue_reply, &wanted, false};
+  libdipole_pending pending = {
+      .kind = &libdipole_plain, .type = WIRE_TYPE_TISSUE, .deadline_ms = query->deadline_ms};
+  libdipole_frame *frame =
+      libdipole_ask(client, &pending, &schema_tissue_request, &start, parts, &shape, error);
+  if (frame == NULL) {
     return false;
   }
   const wire_tissue_reply *fixed = (const void *)frame->payload;
   const bool fits = fixed->wavelength_count == query->wavelength_count &&
                     fixed->haemoglobin == query->haemoglobin;
   if (fits) {
-    memcpy(media, fixed + 1, media_bytes);
+    memcpy(media, fixed + 1, (size_t)query->wavelength_count * sizeof *media);
   }
   free(frame);
   return fits || libdipole_bad_reply(client, "media are of another tissue", error);
@@ -99,7 +97,7 @@ bool dipole_fit_tissue(dipole_client *client, const dipole_tissue_fit_query *que
                                          .wavelength_count = tissue->wavelength_count,
                                          .place_count = query->place_count,
                                          .detector_na = query->detector_na};
-  const wire_fit_tissue_reply shape = {
+  const wire_fit_tissue_reply most = {
       .count = query->set_count,
       .sought_count = (uint16_t)query->sought_count,
       .reading_count = query->residuals ? query->place_count * tissue->wavelength_count : 0};
@@ -107,16 +105,15 @@ bool dipole_fit_tissue(dipole_client *client, const dipole_tissue_fit_query *que
                                query->source_mm,   query->detector_mm,     query->mhz,
                                query->quantity,    tissue->wavelengths_nm, query->values,
                                query->errors};
+  const libdipole_shape shape = {&schema_fit_tissue_reply, &most, true};
   libdipole_pending pending = {.kind = &fit_kind,
                                .type = WIRE_TYPE_FIT_TISSUE,
                                .deadline_ms = tissue->deadline_ms,
-                               .reply_bytes_min = WIRE_BYTES_fit_tissue_reply,
-                               .reply_bytes_max = schema_bytes(&schema_fit_tissue_reply, &shape),
-                               .medium_count = shape.reading_count,
+                               .medium_count = most.reading_count,
                                .radius_count = query->set_count};
-  libdipole_frame *frame = NULL;
-  if (!libdipole_request_put(client, &pending, &schema_fit_tissue_request, &start, parts, error) ||
-      (frame = libdipole_reply(client, &pending, error)) == NULL) {
+  libdipole_frame *frame =
+      libdipole_ask(client, &pending, &schema_fit_tissue_request, &start, parts, &shape, error);
+  if (frame == NULL) {
     return false;
   }
   const wire_fit_tissue_reply *fixed = (const void *)frame->payload;
@@ -142,8 +139,4 @@ bool dipole_fit_tissue(dipole_client *client, const dipole_tissue_fit_query *que
   };
   *fits = &frame->tissue_fits;
   return true;
-}
-
-void dipole_tissue_fits_free(dipole_tissue_fits *fits) {
-  free(fits); /* with its frame */
 }

@@ -133,13 +133,14 @@ bool dipole_varying(dipole_client *client, const dipole_varying_query *query,
   if (!check(query, error)) {
     return false;
   }
-  const varying_layout layout = varying_reply_layout(query->evaluator, query->wanted,
-                                                     query->coefficients, query->value_count);
+  const wire_varying_reply most = {.evaluator = (uint16_t)query->evaluator,
+                                   .wanted = query->wanted,
+                                   .coefficients = (uint16_t)query->coefficients,
+                                   .count = query->value_count};
+  const libdipole_shape shape = {&schema_varying_reply, &most, true};
   libdipole_pending pending = {.kind = &kind,
                                .type = WIRE_TYPE_VARYING,
                                .deadline_ms = query->deadline_ms,
-                               .reply_bytes_min = WIRE_BYTES_varying_reply,
-                               .reply_bytes_max = layout.payload_bytes,
                                .model = query->model,
                                .evaluator = (uint16_t)query->evaluator,
                                .wanted = query->wanted,
@@ -148,10 +149,8 @@ bool dipole_varying(dipole_client *client, const dipole_varying_query *query,
                                .radius_count = query->value_count};
   const wire_varying_request fixed = request_of(query);
   const void *const parts[PARTS] = PARTS_OF(query);
-  if (!libdipole_request_put(client, &pending, &schema_varying_request, &fixed, parts, error)) {
-    return false;
-  }
-  libdipole_frame *frame = libdipole_reply(client, &pending, error);
+  libdipole_frame *frame =
+      libdipole_ask(client, &pending, &schema_varying_request, &fixed, parts, &shape, error);
   return frame != NULL && make_result(frame, result);
 }
 
@@ -266,8 +265,4 @@ const double *dipole_coefficients_f64(const dipole_varying_result *result, unsig
 
 const float *dipole_coefficients_f32(const dipole_varying_result *result, unsigned coefficient) {
   return array_of(result, true, coefficient & (VARYING_QUANTITY(1) - 1));
-}
-
-void dipole_varying_result_free(dipole_varying_result *result) {
-  free(result); /* with its frame */
 }

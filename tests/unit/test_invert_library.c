@@ -2,8 +2,8 @@
  * refused. */
 #include <math.h>
 
-#include "proto/invert.h"
 #include "proto/eval.h"
+#include "proto/invert.h"
 #include "tests/unit/peer_scripts.h"
 #include "tests/unit/unit.h"
 
@@ -38,7 +38,7 @@ typedef struct invert_script {
 static bool send_part(int fd, const peer_frame *frame, const invert_request *request,
                       wire_invert_reply fixed, const invert_script *script) {
   uint8_t payload[PAYLOAD_MAX] = {0};
-  size_t bytes = (size_t)invert_reply_bytes(fixed.count);
+  size_t bytes = (size_t)schema_bytes(&schema_invert_reply, &fixed);
   for (uint64_t i = 0; i < fixed.count; i++) {
     const uint64_t at = (fixed.first + i) % MEDIA; /* A wrong part may have too many. */
     const double albedo = request->albedos[at];
