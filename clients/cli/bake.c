@@ -869,8 +869,7 @@ const cli_command cli_command_bake = {
         "colour-map: the single-scattering albedo of colours 0 to 1, for --g, --eta (default: 1.5) "
         "and --light\n"
         "formula: the same albedo as a function of the colour, g (0 to 0.9) and eta (1.3 to 1.6), "
-        "for c, "
-        "glsl, hlsl, osl and python\n"
+        "for c, glsl, hlsl, osl and python\n"
         "Values are by transport, linear, and for weights of 1 in each channel: multiply by "
         "`colour`. Each file says its errors. c is an array of C, hlsl one of float4 with "
         "--common.",

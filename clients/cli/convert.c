@@ -765,9 +765,8 @@ const cli_command cli_command_convert = {
         "into the target unconverted. Colours that are written are linear. FILE is a .mtlx, the "
         "JSON of a glTF or of its extensions, or a material of pbrt, and gives what no option "
         "does; without --eta the index is that of the file, or 1.5. --format native writes .mtlx, "
-        "JSON of "
-        "glTF, a line of pbrt, lines of Python for Blender and Unreal, or values of a Unity "
-        "asset. The conventions:"
+        "JSON of glTF, a line of pbrt, lines of Python for Blender and Unreal, or values of a "
+        "Unity asset. The conventions:"
 #undef CONVENTION
 #define CONVENTION(name, COLOUR, LENGTH, unit_mm, FORM, names, source, note) "\n" name ": " source
 #include "clients/cli/conventions.def"

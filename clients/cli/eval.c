@@ -718,14 +718,13 @@ const cli_command cli_command_eval = {
     .about = "Evaluate a medium over a range of radii, as a table or a picture",
     .more =
         "The output has the values, their numerical error, the model's own error at these radii "
-        "(against radiative transport, where that is solved), and notes on what the model does "
-        "not do. A value is within the sum of both errors of transport. Some models are "
-        "infinite at r = 0: tables and CSV then say inf, JSON \"inf\". NaN is an empty cell or "
-        "null.\n"
+        "(against radiative transport, where that is solved), and notes on what the model does not "
+        "do. A value is within the sum of both errors of transport. Some models are infinite at r "
+        "= 0: tables and CSV then say inf, JSON \"inf\". NaN is an empty cell or null.\n"
         "With --tolerance and without --model, the daemon takes transport in the cheapest "
         "evaluator that keeps the tolerance for all channels and radii; the time to prepare a "
-        "medium counts, so that few radii may get another one than many. With --model, "
-        "--tolerance is a bound on the numerical error; where transport is solved, the error may "
+        "medium counts, so that few radii may get another one than many. With --model, --tolerance "
+        "is a bound on the numerical error; where transport is solved, the error may "
         "exceed it, and says so." CLI_DEFAULT_TEXT,
     .formats = "table,csv,json",
     .options = {cli_medium_options, cli_layer_options, radii_options, cli_eval_options,

@@ -32,14 +32,12 @@ static const cli_option options[] = {
     {"layer",
      "in place of half spaces: a layer of a stack, from the top down, with x for each sigma_a, "
      "sigma_s and thickness that is sought, of the two upper layers; repeat it for each. A last "
-     "one "
-     "without thickness is a half space",
+     "one without thickness is a half space",
      CLI_FILES, offsetof(cli_settings, layer), NULL, "SIGMA_A,SIGMA_S,G,ETA[,THICKNESS]"},
     CLI_TITLE("Tissue"),
     {"unknown",
      "in place of sigma_a and sigma_s': amounts, a and b of a tissue that are sought, with limits "
-     "if "
-     "the usual ones do not do",
+     "if the usual ones do not do",
      CLI_NAMES, offsetof(cli_settings, unknown), NULL, "PROPERTY[=LOW:HIGH][,...]"},
     {"tissue", "what is known besides, and where the search starts; `dipole tissue` lists it",
      CLI_FILES, offsetof(cli_settings, tissue), NULL, "[NAME][,PROPERTY=X]..."},
@@ -831,19 +829,17 @@ const cli_command cli_command_fit = {
         "and gamma), though the light does." CLI_CSV_TEXT "\n"
         "status is fitted, or says why a sample is no success: at-bound, undetermined, "
         "implausible, ambiguous, unfinished or refused; `dipole info` describes them. The exit "
-        "status is then 3, and all samples are written nevertheless. sigma_s' is sigma_s (1 - "
-        "g). chi2 is the sum of the squares of (R - fit) / error: about readings less unknowns "
-        "if model and errors are right; a sample is implausible if noise would make it as large "
-        "less than once in a million times. The model error (in tables and JSON) is that of R "
-        "against radiative transport, at the distances of a sample and between them. With "
-        "--detector-na it contains that of the share that is detected. It is not part of the "
-        "standard errors.\n"
+        "status is then 3, and all samples are written nevertheless. sigma_s' is sigma_s (1 - g). "
+        "chi2 is the sum of the squares of (R - fit) / error: about readings less unknowns if "
+        "model and errors are right; a sample is implausible if noise would make it as large less "
+        "than once in a million times. The model error (in tables and JSON) is that of R against "
+        "radiative transport, at the distances of a sample and between them. With --detector-na it "
+        "contains that of the share that is detected. It is not part of the standard errors.\n"
         "With --layer the file has r, R, error and sample alone, and a row of output is one "
         "unknown: sample_status is that of its sample.\n"
         "With --unknown the file has wavelength_nm, too, and for each wavelength of a sample the "
-        "same "
-        "places. A property is named with or without its unit, as hbo2 for hbo2_uM. The saturation "
-        "and the total of haemoglobin have their errors from the covariance.",
+        "same places. A property is named with or without its unit, as hbo2 for hbo2_uM. The "
+        "saturation and the total of haemoglobin have their errors from the covariance.",
     .formats = "table,csv,json",
     .options = {options},
     .parameters = CLI_OF_INVERTED | CLI_PARAMETER_BIT(DETECTOR_NA),

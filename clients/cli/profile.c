@@ -206,8 +206,7 @@ static int check_layers(const cli_settings *settings) {
     }
     if (i + 1 < layers->count && layer.thickness_mm == 0) {
       return cli_fail_usage(
-          "--layer %s: only the last layer may be a half space: add its thickness "
-          "in mm",
+          "--layer %s: only the last layer may be a half space: add its thickness in mm",
           layers->items[i]);
     }
   }

@@ -138,8 +138,7 @@ static int describe(const char *path, const tables *of, cli_eval_report *report)
     const dipole_table_info *info = dipole_table_get_info(of->items[i]);
     if (!is_same_profile(first, info)) {
       return cli_fail("%s: tables 1 and %zu differ in model, moments, parameters or number of "
-                      "layers: put them into "
-                      "separate files",
+                      "layers: put them into separate files",
                       path, i + 1);
     }
     snprintf(report->profile.names[i], CLI_CHANNEL_BYTES, "%zu", i + 1);

@@ -44,8 +44,8 @@ def test_every_call_answers_as_the_other_client(shared):
 
     with shared.client() as known:
         run(ask())
-    own = {name for name in vars(dipole.Client) if not name.startswith("_")}
-    both = own & {name for name in vars(AsyncClient) if not name.startswith("_")}
+    own = {name for name in dir(dipole.Client) if not name.startswith("_")}
+    both = own & {name for name in dir(AsyncClient) if not name.startswith("_")}
     assert both == {*CALLS, "statistics", "ping", "eval_parts", "address", "close", "info"}
 
 

@@ -15,11 +15,11 @@ from typing import Any, TypeVar
 
 from . import evaluation
 from .calls import Calls, takes_query
-from .connection import Connection, Tls
-from .errors import ArgumentError, ConnectionLost
+from .connection import Connection
+from .errors import ConnectionLost
 from .opening import Opening
 from .session import Session, Waiting
-from .values import Info, Query, Result
+from .values import Query, Result
 
 T = TypeVar("T")
 
@@ -111,29 +111,6 @@ class AsyncClient(Calls):
     its job on the daemon.
     """
 
-    def __init__(
-        self,
-        address: str | None = None,
-        timeout_s: float | None = 30.0,
-        retry_s: float | None = None,
-        ca: str | None = None,
-        certificate: str | None = None,
-        key: str | None = None,
-    ):
-        self._address = address
-        self._opening = (address, timeout_s, retry_s, Tls(ca, certificate, key))
-        self._session: Session | None = None
-
-    @property
-    def info(self) -> Info:
-        """The daemon's description of itself."""
-        return self._opened().info
-
-    @property
-    def address(self) -> str:
-        """See Client.address."""
-        return self._opened().connection.address
-
     def __repr__(self) -> str:
         if self._session is None or self._session.closed:
             return f"<AsyncClient: {self._address}, not open>"
@@ -151,18 +128,13 @@ class AsyncClient(Calls):
     async def open(self) -> None:
         """Connects and reads the daemon's lists. An earlier connection is closed."""
         await self.close()
-        self._session = await Session(Opening(*self._opening), _Waiting()).open()
+        self._session = await Session(Opening(*self._how), _Waiting()).open()
 
     async def close(self) -> None:
         """Closes the connection and ends a private daemon. Running calls fail. A second close()
         does nothing."""
         if self._session is not None and not self._session.closed:
             await self._session.close()
-
-    def _opened(self) -> Session:
-        if self._session is None:
-            raise ArgumentError("this client is not open")
-        return self._session
 
     # ---- calls -----------------------------------------------------------------------------------
 

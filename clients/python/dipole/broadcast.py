@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections import deque
+from collections import defaultdict, deque
 from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any, NamedTuple, Unpack
@@ -37,14 +37,6 @@ class Values(NamedTuple):
         )
 
 
-class _Media(NamedTuple):
-    """The distinct media of a call, and which of them each medium of the call is."""
-
-    distinct: Array  # [C, 5]
-    # [...] index in `distinct` of each medium of the call
-    index: Array  # type: ignore[assignment]
-
-
 async def values(
     session: Session,
     model: str | int | None,
@@ -69,7 +61,7 @@ async def values(
     if isinstance(media, str):
         media = _first_axis((await session.media_of(media)), r)
     shape, queries = _plan(session.info, media, r)
-    under_way: deque[Places] = deque()
+    under_way: deque[_Part] = deque()
     found: Array = np.empty(0)
     numerical_error, model_error = np.full((2, math.prod(shape)), np.nan)
     models: set[str] = set()
@@ -86,9 +78,9 @@ async def values(
         if found.size == 0:
             found = np.empty(len(numerical_error), values.dtype)
         errors = result.numerical_error(requested.radii)
-        for channel, places in requested.places:
-            found[places] = values[channel]
-            numerical_error[places] = errors[channel]
+        for channel, (places, radii) in enumerate(requested.places):
+            found[places] = values[channel, radii]
+            numerical_error[places] = errors[channel, radii]
             model_error[places] = result.model_error[channel]
         models.add(result.model)
 
@@ -97,24 +89,18 @@ async def values(
     return Values(a, b, c, tuple(sorted(models)))
 
 
-def _plan(info: Info, media: Media, r: Any) -> tuple[tuple[int, ...], Iterator[Places]]:
-    """Returns the shape of the result, and the queries that Client.values() has to send."""
-    one = _media(media)
-    with naming("r: radii of any shape"):
-        radii = np.asarray(r, np.float64)
-    try:
-        shape = np.broadcast_shapes(one.index.shape, radii.shape)
-    except ValueError as error:
-        shapes = f"{one.index.shape} and {radii.shape}"
-        raise ArgumentError(
-            f"media, r: shapes {shapes} do not broadcast. For each medium at each radius, give the "
-            "media a further axis: np.array(media)[:, None]"
-        ) from error
-    if radii.size == 0 or one.index.size == 0:
-        return shape, iter(())
-    if _is_product(one.index, radii):
-        return shape, _product(info, one, radii, len(shape))
-    return shape, _groups(info, one, radii, shape)
+# ---- what is requested ---------------------------------------------------------------------------
+
+_NO_LAYERS = "media: values() takes no layers: call eval()"
+
+
+class _Part(NamedTuple):
+    """One query, and where its values go."""
+
+    media: Array  # [C, 5]
+    radii: Array  # [N]
+    # of each channel: positions in the flattened result, and which radius each of them has
+    places: list[tuple[Array, Array]]
 
 
 def _first_axis(media: Media, r: Any) -> Array:
@@ -125,22 +111,8 @@ def _first_axis(media: Media, r: Any) -> Array:
     return array.reshape(len(array), *(1,) * np.ndim(r), 5)
 
 
-_NO_LAYERS = "media: values() takes no layers: call eval()"
-
-
-# ---- what is requested ---------------------------------------------------------------------------
-
-
-class Places(NamedTuple):
-    """One query, and where its values go in the flattened result."""
-
-    media: Array  # [C, 5]
-    radii: Array  # [N]
-    # (channel, positions [N] in the flattened result); channels may repeat
-    places: tuple[tuple[int, Array], ...]
-
-
-def _media(media: Media) -> _Media:
+def _distinct(media: Media) -> tuple[Array, Array]:
+    """Returns the distinct media [C, 5], and which of them each medium of a call is."""
     form = "media: a Medium, whose fields may be arrays, or an array [..., 4] or [..., 5]"
     if isinstance(media, Stack):
         raise ArgumentError(_NO_LAYERS)
@@ -158,70 +130,50 @@ def _media(media: Media) -> _Media:
     except ValueError as error:
         raise ArgumentError("media: the shapes of its fields do not broadcast") from error
     rows = np.stack([field.reshape(-1) for field in fields], axis=1)
-    if len(rows) == 1:
-        return _Media(rows, np.zeros(fields[0].shape, np.intp))
     distinct, index = np.unique(rows, axis=0, return_inverse=True)
-    return _Media(distinct, index.reshape(fields[0].shape))
+    return distinct, index.reshape(fields[0].shape)
 
 
-def _most_media(info: Info) -> int:
-    """Returns how many media a request may have, so that a part of the reply has room for at least
-    256 radii of each medium."""
+def _plan(info: Info, media: Media, r: Any) -> tuple[tuple[int, ...], Iterator[_Part]]:
+    """Returns the shape of the result, and the queries that Client.values() has to send."""
+    distinct, index = _distinct(media)
+    with naming("r: radii of any shape"):
+        radii = np.asarray(r, np.float64)
+    try:
+        shape = np.broadcast_shapes(index.shape, radii.shape)
+    except ValueError as error:
+        raise ArgumentError(
+            f"media, r: shapes {index.shape} and {radii.shape} do not broadcast. For each medium at "
+            "each radius, give the media a further axis: np.array(media)[:, None]"
+        ) from error
+    every = np.broadcast_to(index, shape).reshape(-1)
+    return shape, _parts(info, distinct, every, np.broadcast_to(radii, shape).reshape(-1))
+
+
+def _parts(info: Info, distinct: Array, index: Array, radii: Array) -> Iterator[_Part]:
+    """Yields queries within the daemon's limits: each is for media that have the same radii. index,
+    radii: those of each value."""
     limits = info.limits
+    # A part of the reply has room for at least 256 radii of each medium, and a frame for radii and media.
     part_bytes = min(limits["max_part_bytes"], limits["max_frame_bytes"]) - wire.EVAL_REPLY.bytes
-    return max(min(limits["max_media"], part_bytes // (8 + 13 * wire.QUANTITY_ERROR.bytes + 256 * 8)), 1)
-
-
-def _most_radii(info: Info) -> int:
-    """Returns how many radii a request may have, so that a frame has room for radii and media."""
-    return max(info.limits["max_frame_bytes"] // 16, 1)
-
-
-def _aligned(shape: tuple[int, ...], dimensions: int) -> tuple[int, ...]:
-    return (1,) * (dimensions - len(shape)) + shape
-
-
-def _is_product(index: Array, radii: Array) -> bool:
-    """Returns whether broadcasting combines every medium with every radius."""
-    dimensions = max(index.ndim, radii.ndim)
-    media_shape, radii_shape = _aligned(index.shape, dimensions), _aligned(radii.shape, dimensions)
-    return all(m == 1 or n == 1 for m, n in zip(media_shape, radii_shape))
-
-
-def _product(info: Info, media: _Media, radii: Array, dimensions: int) -> Iterator[Places]:
-    """Yields queries for all media at all radii, as few as the daemon's limits allow."""
-    media_shape = _aligned(media.index.shape, dimensions)
-    radii_shape = _aligned(radii.shape, dimensions)
-    shape = tuple(m * n for m, n in zip(media_shape, radii_shape))
-    places = np.arange(media.index.size * radii.size).reshape(shape)
-    # Transpose to [medium, radius]: the axes of the media come first.
-    first = [i for i in range(dimensions) if media_shape[i] != 1]
-    rest = [i for i in range(dimensions) if media_shape[i] == 1]
-    places = places.transpose(first + rest).reshape(media.index.size, radii.size)
-    index, listed = media.index.reshape(-1), radii.reshape(-1)
-    most_media, most_radii = _most_media(info), _most_radii(info)
-    for begin in range(0, listed.size, most_radii):
-        end = begin + most_radii
-        for low in range(0, len(media.distinct), most_media):
-            distinct = media.distinct[low : low + most_media]
-            rows = np.flatnonzero((index >= low) & (index < low + len(distinct)))
-            yield Places(
-                distinct,
-                listed[begin:end],
-                tuple((int(index[row]) - low, places[row, begin:end]) for row in rows),
-            )
-
-
-def _groups(
-    info: Info, media: _Media, radii: Array, shape: tuple[int, ...]
-) -> Iterator[Places]:
-    """Yields queries that evaluate each medium at its own radii."""
-    most_radii = _most_radii(info)
-    index = np.broadcast_to(media.index, shape).reshape(-1)
-    listed = np.broadcast_to(radii, shape).reshape(-1)
+    medium_bytes = 8 + 13 * wire.QUANTITY_ERROR.bytes + 256 * 8
+    most_media = max(min(limits["max_media"], part_bytes // medium_bytes), 1)
+    most_radii = max(limits["max_frame_bytes"] // 16, 1)
     order = np.argsort(index, kind="stable")
-    bounds = np.searchsorted(index[order], np.arange(len(media.distinct) + 1))
-    for i, medium in enumerate(media.distinct):
-        for begin in range(bounds[i], bounds[i + 1], most_radii):
-            places = order[begin : min(begin + most_radii, bounds[i + 1])]
-            yield Places(medium[np.newaxis], listed[places], ((0, places),))
+    bounds = np.searchsorted(index[order], np.arange(len(distinct) + 1))
+    alike: dict[bytes, list[tuple[int, Array, Array]]] = defaultdict(list)
+    for i in range(len(distinct)):
+        places = order[bounds[i] : bounds[i + 1]]
+        own, which = np.unique(radii[places], return_inverse=True)
+        alike[own.tobytes()].append((i, places, which))
+    for shared, media in alike.items():
+        listed = np.frombuffer(shared)
+        for begin in range(0, len(listed), most_radii):
+            for first in range(0, len(media), most_media):
+                some = media[first : first + most_media]
+                ranges = [(which >= begin) & (which < begin + most_radii) for _, _, which in some]
+                yield _Part(
+                    distinct[[i for i, _, _ in some]],
+                    listed[begin : begin + most_radii],
+                    [(at[here], which[here] - begin) for (_, at, which), here in zip(some, ranges)],
+                )

@@ -12,10 +12,11 @@ from typing import TYPE_CHECKING, Any, Concatenate, Generic, ParamSpec, Protocol
 from . import broadcast, evaluation, fitting, gathering, inversion, tissues, values, wire
 from . import mc as walking
 from . import varying as textures
+from .connection import Tls
 from .errors import ArgumentError, ProtocolError
 from .exchange import Once, Request
 from .session import Session
-from .values import MeasuredMedia, Query
+from .values import Info, MeasuredMedia, Query
 
 if TYPE_CHECKING:
     from .aio import AsyncClient
@@ -145,7 +146,41 @@ class Call(Generic[P, T]):
 
 
 class Calls:
-    """The methods of Client and AsyncClient, which say by _method() what makes one of a call."""
+    """What Client and AsyncClient share: how they are opened, and the methods that they have, which say
+    by _method() what makes one of a call."""
+
+    def __init__(
+        self,
+        address: str | None = None,
+        timeout_s: float | None = 30.0,
+        retry_s: float | None = None,
+        ca: str | None = None,
+        certificate: str | None = None,
+        key: str | None = None,
+    ):
+        self._address = address
+        self._how = (address, timeout_s, retry_s, Tls(ca, certificate, key))
+        self._session: Session | None = None
+        self._start()
+
+    def _start(self) -> None:
+        """Ends the constructor: that of a Client connects."""
+
+    def _opened(self) -> Session:
+        if self._session is None:
+            raise ArgumentError("this client is not open")
+        return self._session
+
+    @property
+    def info(self) -> Info:
+        """The daemon's description of itself."""
+        return self._opened().info
+
+    @property
+    def address(self) -> str:
+        """The address of the daemon that the client is connected to, or was last connected to. It
+        changes when the client continues with another daemon."""
+        return self._opened().connection.address
 
     values = Call(broadcast.values)
     offers = Call(evaluation.offers)

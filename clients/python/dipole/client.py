@@ -12,11 +12,11 @@ from typing import Any
 
 from . import evaluation
 from .calls import Calls, takes_query
-from .connection import Frame, Tls
+from .connection import Frame
 from .errors import ArgumentError
 from .opening import Opening
 from .session import Session, Waiting, run
-from .values import Info, Query, Result
+from .values import Query, Result
 
 
 class Client(Calls):
@@ -44,23 +44,11 @@ class Client(Calls):
     for the host in the address. If a certificate is at fault, the client does not try again.
     """
 
-    def __init__(
-        self,
-        address: str | None = None,
-        timeout_s: float | None = 30.0,
-        retry_s: float | None = None,
-        ca: str | None = None,
-        certificate: str | None = None,
-        key: str | None = None,
-    ):
-        opening = Opening(address, timeout_s, retry_s, Tls(ca, certificate, key))
-        self._session = run(Session(opening, Waiting()).open())
-        self._submitted: dict[int, None] = {}
+    _session: Session
 
-    @property
-    def info(self) -> Info:
-        """The daemon's description of itself."""
-        return self._session.info
+    def _start(self) -> None:
+        self._session = run(Session(Opening(*self._how), Waiting()).open())
+        self._submitted: dict[int, None] = {}
 
     def __enter__(self) -> Client:
         return self
@@ -71,12 +59,6 @@ class Client(Calls):
     def close(self) -> None:
         """Closes the connection and ends a private daemon. Closing twice is fine."""
         run(self._session.close())
-
-    @property
-    def address(self) -> str:
-        """The address of the daemon that the client is connected to, or was last connected to. It
-        changes when the client continues with another daemon."""
-        return self._session.connection.address
 
     def __repr__(self) -> str:
         closed = ", closed" if self._session.closed else ""
