@@ -145,24 +145,6 @@ def test_a_fault_among_many(daemon):
     assert {type for type, _ in answers[1::2]} == {wire.TYPE_ERROR}
 
 
-def test_leaving_within_a_batch(daemon):
-    """Clients leave before their answers have been evaluated. The daemon goes on serving."""
-    one = daemon("--workers", "1")
-    payload = eval_payload([SKIN], np.linspace(0, 3, 16), wanted=R)
-    with one.connect() as staying:
-        alone = ask(staying, EVAL, payload).payload
-        for _ in range(30):
-            leaving = [one.connect() for _ in range(4)]
-            for connection in leaving:
-                connection.send_bytes(frame(EVAL, 1, payload) * 50)
-            staying.send_bytes(frame(EVAL, 2, payload) * 50)
-            for connection in leaving:
-                connection.close()
-            for _ in range(50):
-                assert staying.receive_frame() == (EVALUATED, 2, alone)
-        assert_serves(staying)
-
-
 # ---- how many go together ------------------------------------------------------------------------
 
 SIXTEEN = eval_payload([SKIN], np.linspace(0.1, 3, 16), wanted=R)

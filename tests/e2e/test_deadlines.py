@@ -143,22 +143,6 @@ def test_the_time_runs_from_the_arrival_behind_an_answer_in_parts(daemon):
         assert connection.receive_frame().type == EVALUATED
 
 
-def test_many_in_a_row(daemon):
-    """The deadline of a request does not affect later requests."""
-    one = daemon()
-    with one.connect() as connection:
-        alone = ask(connection, EVAL, eval_payload()).payload
-        for i in range(30):
-            connection.send_bytes(
-                frame(EVAL, 1, slow_payload(2), 1 + i % 5) + frame(EVAL, 2, eval_payload())
-            )
-            first, second = connection.receive_frame(), connection.receive_frame()
-            if first.type == wire.TYPE_ERROR:
-                assert_late(first, request_id=1)
-            assert second == Frame(EVALUATED, 2, alone)
-    assert_daemon_serves(one)
-
-
 # ---- clients -------------------------------------------------------------------------------------
 
 

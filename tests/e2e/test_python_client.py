@@ -458,14 +458,6 @@ def test_a_full_daemon_says_so(daemon):
         assert first.ping() > 0
 
 
-def test_a_daemon_that_goes_away(daemon):
-    one = daemon()
-    with dipole.Client(one.url(), retry_s=0.3) as client:
-        one.kill()
-        with pytest.raises(dipole.ConnectionLost):
-            client.ping()
-
-
 def answer_with(data: bytes) -> tuple[str, threading.Thread]:
     """Starts a server that answers the first bytes of one connection with data, and closes it."""
     server = socket.create_server(("127.0.0.1", 0))

@@ -53,36 +53,6 @@ UNIT_TEST(test_eval) {
   peer_finish(&peer, client);
 }
 
-static void assert_single_values(unsigned evaluator) {
-  static const float r[5] = {1, 2, 3, 4, 5};
-  scripted_peer peer;
-  dipole_error error;
-  dipole_result *result;
-  dipole_query query = simple_query;
-  query.evaluator = evaluator;
-  query.wanted = DIPOLE_R | DIPOLE_RADIUS;
-  query.radii = r;
-  query.radius_count = 5;
-  dipole_client *client = peer_begin(&peer, peer_serve, NULL);
-  assert_true(dipole_eval(client, &query, &result, &error));
-  assert_null(result->radius_f64);
-  assert_null(result->channels[1].R_f64);
-  assert_null(result->channels[1].cdf_f32);
-  for (size_t i = 0; i < 5; i++) {
-    assert_true(result->radius_f32[i] == r[i]);
-    assert_true(result->channels[1].R_f32[i] == 2 * r[i]);
-    assert_true(dipole_values_f32(result, 1, DIPOLE_R)[i] == 2 * r[i]);
-  }
-  assert_null(dipole_values_f64(result, 1, DIPOLE_R));
-  dipole_result_free(result);
-  peer_finish(&peer, client);
-}
-
-UNIT_TEST(test_eval_single) {
-  assert_single_values(DIPOLE_F32);
-  assert_single_values(DIPOLE_LUT);
-}
-
 /* The request lists parameters and then five floats, which need padding. */
 UNIT_TEST(test_parameters_and_notes) {
   static const float r[5] = {1, 2, 3, 4, 5};
@@ -112,85 +82,6 @@ UNIT_TEST(test_parameters_and_notes) {
   assert_int_equal(result->notes, 0);
   assert_true(isnan(result->channels[0].model_error));
   dipole_result_free(result);
-  peer_finish(&peer, client);
-}
-
-enum { ORDERED = 3 };
-
-/* A script that answers three requests in reverse order, and then a fourth. */
-static void answer_in_reverse(int fd, void *context) {
-  peer_frame request[ORDERED + 1];
-  (void)context;
-  peer_say_hello_or_abort(fd);
-  for (size_t i = 0; i < ORDERED + 1; i++) {
-    peer_receive_or_abort(fd, &request[i]);
-  }
-  for (size_t i = ORDERED + 1; i-- > 0;) {
-    peer_answer(fd, &request[i]);
-    free(request[i].payload);
-  }
-}
-
-/* The client submits three queries and waits for a fourth. It keeps the answers to the three. */
-UNIT_TEST(test_answers_in_any_order) {
-  scripted_peer peer;
-  dipole_error error;
-  dipole_result *result;
-  uint64_t submitted[ORDERED], id;
-  bool seen[ORDERED] = {false};
-  dipole_client *client = peer_begin(&peer, answer_in_reverse, NULL);
-  for (size_t i = 0; i < ORDERED; i++) {
-    dipole_query query = simple_query;
-    query.radius_count = i + 1;
-    assert_true(dipole_submit(client, &query, &submitted[i], &error));
-  }
-  check_simple_result(peer_eval(client, &simple_query));
-  for (size_t n = 0; n < ORDERED; n++) {
-    assert_true(dipole_collect(client, &id, &result, &error));
-    for (size_t i = 0; i < ORDERED; i++) {
-      if (submitted[i] == id) {
-        assert_false(seen[i]);
-        seen[i] = true;
-        assert_int_equal(result->radius_count, i + 1);
-      }
-    }
-    dipole_result_free(result);
-  }
-  assert_true(seen[0] && seen[1] && seen[2]);
-  assert_false(dipole_collect(client, &id, &result, &error));
-  assert_int_equal(error.kind, DIPOLE_ERROR_ARGUMENT);
-  peer_finish(&peer, client);
-}
-
-enum { BIG_QUERIES = 64, BIG_RADII = 50000 };
-
-/* The peer writes each answer before it reads the next request, like a daemon that stops reading
- * from a slow client. 24 MiB go in each direction, far more than the buffers of sockets hold. */
-UNIT_TEST(test_long_pipeline_does_not_deadlock) {
-  scripted_peer peer;
-  dipole_error error;
-  dipole_result *result;
-  uint64_t id;
-  double *many = malloc(BIG_RADII * sizeof *many);
-  assert_non_null(many);
-  for (size_t i = 0; i < BIG_RADII; i++) {
-    many[i] = (double)i;
-  }
-  dipole_query query = simple_query;
-  query.wanted = DIPOLE_R;
-  query.medium_count = 1;
-  query.radii = many;
-  query.radius_count = BIG_RADII;
-  dipole_client *client = peer_begin(&peer, peer_serve, NULL);
-  for (size_t i = 0; i < BIG_QUERIES; i++) {
-    peer_expect(dipole_submit(client, &query, &id, &error), &error);
-  }
-  for (size_t i = 0; i < BIG_QUERIES; i++) {
-    peer_expect(dipole_collect(client, &id, &result, &error), &error);
-    assert_true(result->channels[0].R_f64[BIG_RADII - 1] == 2.0 * (BIG_RADII - 1));
-    dipole_result_free(result);
-  }
-  free(many);
   peer_finish(&peer, client);
 }
 
@@ -328,64 +219,7 @@ UNIT_TEST(test_lies_are_noticed) {
   }
 }
 
-/* The radii that the only part of an answer has. */
-typedef struct other_radii {
-  uint64_t first, count;
-} other_radii;
-
-static void answer_others(int fd, void *context) {
-  const other_radii *others = context;
-  uint8_t *payload;
-  peer_frame request;
-  peer_say_hello_or_abort(fd);
-  peer_receive_or_abort(fd, &request);
-  const size_t bytes = peer_evaluate_part(&request, others->first, others->count, 0, 1, &payload);
-  peer_send(fd, WIRE_TYPE_EVAL | WIRE_REPLY, request.header.request_id, payload, bytes);
-  free(payload);
-  free(request.payload);
-}
-
-UNIT_TEST(test_an_only_part_has_all_radii) {
-  other_radii others[] = {{0, 2}, {1, 2}, {0, 0}};
-  for (size_t i = 0; i < sizeof others / sizeof others[0]; i++) {
-    scripted_peer peer;
-    dipole_error error;
-    dipole_result *result;
-    dipole_client *client = peer_begin(&peer, answer_others, &others[i]);
-    assert_false(dipole_eval(client, &simple_query, &result, &error));
-    assert_int_equal(error.kind, DIPOLE_ERROR_PROTOCOL);
-    peer_finish(&peer, client);
-  }
-}
-
 /* ---- connections --------------------------------------------------------------------------- */
-
-UNIT_TEST(test_lost_connection) {
-  size_t half = 100;
-  scripted_peer peer;
-  dipole_error error;
-  dipole_result *result;
-  uint64_t id;
-  dipole_client *client = peer_begin(&peer, peer_hang_up_in_answer, &half);
-  assert_false(dipole_eval(client, &simple_query, &result, &error));
-  assert_int_equal(error.kind, DIPOLE_ERROR_CONNECTION);
-  assert_false(dipole_submit(client, &simple_query, &id, &error));
-  assert_int_equal(error.kind, DIPOLE_ERROR_CONNECTION);
-  assert_false(dipole_ping(client, NULL));
-  peer_finish(&peer, client);
-}
-
-UNIT_TEST(test_silent_peer_times_out) {
-  scripted_peer peer;
-  dipole_error error;
-  dipole_result *result;
-  dipole_client *client = peer_begin(&peer, peer_be_silent, NULL);
-  dipole_set_timeout_ms(client, 30);
-  assert_false(dipole_eval(client, &simple_query, &result, &error));
-  assert_int_equal(error.kind, DIPOLE_ERROR_CONNECTION);
-  assert_string_equal(error.text, "the daemon was silent for 30 ms: gave up");
-  peer_finish(&peer, client);
-}
 
 UNIT_TEST(test_nobody_is_there) {
   static const struct {
