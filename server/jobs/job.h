@@ -58,6 +58,8 @@ struct job_context {
   struct repeat repeat;   /* requests that later requests may repeat */
   uint64_t owed_radii;    /* work that all running jobs still have to do, in radii of a dipole */
   LIST_HEAD(, job) large; /* the running large jobs: at most two of each client */
+  SLIST_HEAD(, job_slot) free_slots; /* of run.c */
+  unsigned free_slot_count;
   double radii[JOB_SLICE_RADII];  /* scratch for a slice's radii, if the reply does not hold them */
   double numbers[JOB_DRAW_RADII]; /* memory for the random numbers of a slice */
 };
@@ -165,6 +167,7 @@ enum { JOB_SLOT_BYTES = 4864 };
 
 struct job_slot {
   _Alignas(16) uint8_t bytes[JOB_SLOT_BYTES];
+  SLIST_ENTRY(job_slot) next; /* while it is free */
 };
 
 /* The structure of a job, whose first member is a struct job, and the function that casts to it. */

@@ -1,21 +1,50 @@
 #include "server/jobs/run.h"
 
+#include <stdlib.h>
+
 void run_init(struct run *run, const struct run_sink *sink, void *owner) {
   run->sink = sink;
   run->owner = owner;
   run->state = RUN_IDLE;
   run->part_open = false;
   run->deadline_ms = 0;
-  run->job = (struct job *)(void *)run->slot.bytes;
+}
+
+/* ---- slots ----------------------------------------------------------------------------------- */
+
+enum {
+  SLOTS_KEPT = 64
+}; /* free slots that a worker keeps, so that small requests allocate nothing */
+
+static struct job_slot *lend_slot(struct job_context *context) {
+  struct job_slot *slot = SLIST_FIRST(&context->free_slots);
+  if (slot == NULL) {
+    return malloc(sizeof *slot);
+  }
+  SLIST_REMOVE_HEAD(&context->free_slots, next);
+  context->free_slot_count--;
+  return slot;
+}
+
+static void return_slot(struct job_context *context, struct job_slot *slot) {
+  if (context->free_slot_count == SLOTS_KEPT) {
+    free(slot);
+    return;
+  }
+  SLIST_INSERT_HEAD(&context->free_slots, slot, next);
+  context->free_slot_count++;
+}
+
+void run_free_slots(struct job_context *context) {
+  while (context->free_slot_count > 0) {
+    free(lend_slot(context));
+  }
 }
 
 /* ---- ending ---------------------------------------------------------------------------------- */
 
 /* First evaluates the batch, which may hold values for a part that is open. */
-void run_drop(struct run *run) {
-  if (run->state == RUN_IDLE) {
-    return;
-  }
+static void end_job(struct run *run) {
   if (run->part_open) {
     struct job_context *context = run->job->context;
     batch_finish(&context->batch, &context->server->stats);
@@ -28,11 +57,27 @@ void run_drop(struct run *run) {
   run->state = RUN_IDLE;
 }
 
+void run_drop(struct run *run) {
+  if (run->state != RUN_IDLE) {
+    end_job(run);
+    return_slot(run->job->context, run->slot);
+  }
+}
+
+/* The refusal may lie in the slot, and the sink may free the run. */
 void run_end(struct run *run, const wire_error *refusal) {
+  if (run->state == RUN_IDLE) { /* the job has not been started */
+    run->latency = LATENCY_NONE;
+    run->sink->end(run, refusal);
+    return;
+  }
+  struct job_context *context = run->job->context;
+  struct job_slot *slot = run->slot;
   run->latency =
       refusal != NULL && run->job->latency != LATENCY_NONE ? LATENCY_REFUSED : run->job->latency;
-  run_drop(run);
+  end_job(run);
   run->sink->end(run, refusal);
+  return_slot(context, slot);
 }
 
 bool run_is_late(const struct run *run, const struct job_context *context) {
@@ -123,15 +168,25 @@ void run_start(struct run *run, struct job_request *request, uint64_t deadline_m
   run->deadline_ms = deadline_ms;
   request->on_ready = on_ready;
   request->owner = run;
-  const enum job_outcome outcome = run_is_late(run, request->context)
-                                       ? job_refuse(run->job, late_error())
-                                       : job_start(&run->slot, request);
+  struct job_context *context = request->context;
+  const bool late = run_is_late(run, context);
+  struct job_slot *slot = late ? NULL : lend_slot(context);
+  if (slot == NULL) {
+    const wire_error error = late ? late_error() : job_busy();
+    run->latency = LATENCY_REFUSED;
+    run->sink->end(run, &error);
+    return;
+  }
+  run->slot = slot;
+  run->job = (struct job *)(void *)slot->bytes;
+  const enum job_outcome outcome = job_start(slot, request);
   if (outcome != JOB_REFUSED) {
     follow_outcome(run, outcome);
     return;
   }
   run->latency = LATENCY_REFUSED;
   run->sink->end(run, &run->job->refusal);
+  return_slot(context, slot);
 }
 
 void run_step(struct run *run, uint64_t *budget) {

@@ -36,12 +36,15 @@ struct run {
   bool part_open;             /* whether a part has been reserved and is not complete */
   uint64_t deadline_ms;       /* on the loop's clock, in ms; 0: none */
   enum latency_class latency; /* class in the statistics of latency; set at the end */
-  struct job *job;            /* the job in the slot; NULL: none */
-  struct job_slot slot;
+  struct job_slot *slot;      /* lent by the worker unless the state is RUN_IDLE */
+  struct job *job;            /* the job in the slot */
 };
 
 /* Prepares a run whose state is RUN_IDLE. */
 void run_init(struct run *run, const struct run_sink *sink, void *owner);
+
+/* Frees the slots that a worker has kept for further jobs. */
+void run_free_slots(struct job_context *context);
 
 /* Starts the job of a request, whose on_ready and owner this sets. The state is RUN_IDLE after it if
  * the sink has been told of the end. */

@@ -20,12 +20,21 @@ void input_init(struct input *input, struct server *server) {
 void input_free(struct input *input) {
   budget_return(input->budget, input->capacity);
   free(input->bytes);
+  free(input->marks);
   input->bytes = NULL;
+  input->marks = NULL;
+  input->mark_count = 0;
   input->capacity = input->begin = input->end = 0;
   input->large = false;
 }
 
 static bool resize(struct input *input, size_t capacity) {
+  if (input->marks == NULL) {
+    input->marks = malloc(INPUT_MARKS * sizeof *input->marks);
+  }
+  if (input->marks == NULL) {
+    return false;
+  }
   if (capacity == BASE_BYTES && input->capacity == 0) {
     budget_take_base(input->budget, capacity);
   } else if (capacity > input->capacity &&

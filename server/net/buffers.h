@@ -38,7 +38,8 @@ struct input {
   uint64_t skip_bytes;  /* bytes of a refused payload that have still to arrive */
   uint64_t skip_id;     /* request id of the refused payload */
   uint64_t total_bytes; /* number of bytes that have arrived so far */
-  struct input_mark marks[INPUT_MARKS]; /* arrival times of the bytes in the buffer, in order */
+  struct input_mark
+      *marks; /* [INPUT_MARKS] times of the bytes in the buffer, in order; NULL without */
   unsigned mark_count;
 };
 

@@ -1,5 +1,6 @@
 #include "server/net/transport.h"
 
+#include <stdlib.h>
 #include <sys/ioctl.h>
 #include <sys/socket.h>
 #include <unistd.h>
@@ -121,12 +122,18 @@ static void on_read(uv_stream_t *stream, ssize_t bytes, const uv_buf_t *buffer) 
   }
 }
 
+/* Shuts down the sending side, when nothing is being written. */
+static bool shut_down(struct transport *t) {
+  return t->writing || shutdown(t->fd, SHUT_WR) == 0;
+}
+
 static void on_written(uv_write_t *request, int status) {
   struct transport *t = request->handle->data;
   const uint64_t bytes = t->writing_bytes;
+  free(request);
   t->writing_bytes = 0;
   t->writing = false;
-  if (status != 0) {
+  if (status != 0 || (t->lingering && !t->closing && !shut_down(t))) {
     fail_transport(t);
   } else {
     tell_sent(t, bytes);
@@ -143,16 +150,13 @@ static bool write_plain(struct transport *t, const uv_buf_t *buffers, unsigned c
   for (unsigned i = 0; i < count; i++) {
     t->writing_bytes += buffers[i].len;
   }
-  t->writing = true;
-  return (sent == UV_EAGAIN || sent == 0) &&
-         uv_write(&t->write, &t->uv.stream, buffers, count, on_written) == 0;
-}
-
-static void on_shut_down(uv_shutdown_t *request, int status) {
-  struct transport *t = request->handle->data;
-  if (status != 0) {
-    fail_transport(t);
+  uv_write_t *request = malloc(sizeof *request);
+  t->writing = request != NULL && (sent == UV_EAGAIN || sent == 0) &&
+               uv_write(request, &t->uv.stream, buffers, count, on_written) == 0;
+  if (!t->writing) {
+    free(request);
   }
+  return t->writing;
 }
 
 static int open_plain(struct transport *t, uv_loop_t *loop) {
@@ -344,16 +348,12 @@ void transport_drain(struct client *client) {
 }
 
 void transport_linger(struct transport *t) {
-  bool good;
   t->active_ms = transport_now_ms(t);
   if (t->tls != NULL) {
     tls_session_end(t->tls);
-    good = shutdown(t->fd, SHUT_WR) == 0;
-  } else {
-    good = uv_shutdown(&t->shutdown, &t->uv.stream, on_shut_down) == 0;
   }
   t->lingering = true;
-  if (good) {
+  if (t->tls != NULL ? shutdown(t->fd, SHUT_WR) == 0 : shut_down(t)) {
     transport_set_reading(t, true);
   } else {
     fail_transport(t);

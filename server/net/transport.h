@@ -49,10 +49,8 @@ struct transport {
   const struct transport_calls *calls;
   int fd;
   struct tls_session *tls; /* NULL: the bytes are plain */
-  uv_write_t write;
-  uv_shutdown_t shutdown;
-  uint64_t writing_bytes; /* number of bytes that libuv has still to write */
-  bool writing;           /* whether the call of sent() is still to come */
+  uint64_t writing_bytes;  /* number of bytes that libuv has still to write */
+  bool writing;            /* whether the call of sent() is still to come */
   bool reading;
   bool lingering; /* see transport_linger() */
   bool has_more;  /* with TLS: whether OpenSSL may hold bytes for which there was no time or room */

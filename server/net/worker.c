@@ -4,6 +4,8 @@
 #include <string.h>
 #include <sys/prctl.h>
 
+#include "server/jobs/run.h"
+
 /* ---- the run queue --------------------------------------------------------------------------- */
 
 void worker_run_later(struct client *client) {
@@ -290,6 +292,7 @@ static void thread_main(void *argument) {
   assert(LIST_EMPTY(&worker->clients));
   uv_walk(&worker->loop, close_handle, NULL);
   uv_run(&worker->loop, UV_RUN_DEFAULT);
+  run_free_slots(&worker->context);
   profiles_end(&worker->context.profiles);
   const int closed = uv_loop_close(&worker->loop);
   assert(closed == 0);

@@ -7,7 +7,7 @@ import resource
 import socket
 
 import pytest
-from daemons import eventually
+from daemons import eventually, sanitized
 from dipole import wire
 from frames import (
     EVAL, F32, PING, R, ask, assert_closed, assert_daemon_serves, assert_error, eval_payload, frame,
@@ -138,6 +138,15 @@ def connections():
     for connection in opened:
         connection.close()
     resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
+
+
+@pytest.mark.skipif(sanitized(), reason="the build is sanitized")
+def test_a_silent_connection_holds_a_kilobyte(daemon, connections):
+    one = daemon("--max-connections", "4096")
+    connections(one, 100)
+    before = one.resident_bytes()
+    connections(one, 3000)
+    assert eventually(lambda: one.resident_bytes() - before < 3000 * 1024)
 
 
 @pytest.mark.parametrize("workers", ["1", "4"])
