@@ -20,7 +20,7 @@ wire_error mc_request_parse(const uint8_t *payload, size_t payload_bytes, mc_req
 }
 
 bool mc_reply_layout(uint32_t side_count, uint32_t albedo_count, uint32_t ring_count,
-                     mc_layout *layout) {
+                     schema_layout *layout) {
   if (side_count < 1 || side_count > CORE_MC_SIDES || albedo_count < 1 ||
       albedo_count > CORE_MC_ALBEDOS_MAX || ring_count < 1 || ring_count > CORE_MC_RINGS_MAX) {
     return false;
@@ -29,28 +29,23 @@ bool mc_reply_layout(uint32_t side_count, uint32_t albedo_count, uint32_t ring_c
                                .side_count = (uint16_t)side_count,
                                .albedo_count = (uint16_t)albedo_count,
                                .ring_count = ring_count};
-  schema_layout all;
-  schema_lay_out(&schema_mc_reply, &fixed, UINT64_MAX, &all, NULL);
-  *layout = (mc_layout){.payload_bytes = (size_t)all.payload_bytes,
-                        .edges_offset = (size_t)all.parts[0].at,
-                        .energies_offset = (size_t)all.parts[1].at,
-                        .photons_offset = (size_t)all.parts[2].at,
-                        .rings_offset = (size_t)all.parts[3].at};
-  return true;
+  return schema_lay_out(&schema_mc_reply, &fixed, UINT64_MAX, layout, NULL);
 }
 
-size_t mc_photons_offset(const mc_layout *layout, uint32_t ring_count, uint32_t side) {
-  return layout->photons_offset + (size_t)side * ring_count * sizeof(uint64_t);
+size_t mc_photons_offset(const schema_layout *layout, uint32_t side) {
+  return (size_t)(layout->parts[MC_PHOTONS].at +
+                  side * (layout->parts[MC_EDGES].count - 1) * sizeof(uint64_t));
 }
 
-size_t mc_rings_offset(const mc_layout *layout, uint32_t side_count, uint32_t ring_count,
-                       uint32_t albedo, uint32_t side, bool error) {
-  const size_t array = ((size_t)albedo * side_count + side) * 2 + (error ? 1 : 0);
-  return layout->rings_offset + array * ring_count * sizeof(double);
+size_t mc_rings_offset(const schema_layout *layout, uint32_t albedo, uint32_t side, bool error) {
+  const uint64_t rings = layout->parts[MC_EDGES].count - 1;
+  const uint64_t sides = layout->parts[MC_PHOTONS].count / rings;
+  return (size_t)(layout->parts[MC_RINGS].at +
+                  ((albedo * sides + side) * 2 + error) * rings * sizeof(double));
 }
 
 bool mc_reply_parse(const uint8_t *payload, size_t payload_bytes, wire_mc_reply *fixed,
-                    mc_layout *layout) {
+                    schema_layout *layout) {
   if (payload_bytes < WIRE_BYTES_mc_reply) {
     return false;
   }

@@ -30,30 +30,24 @@ typedef struct mc_request {
 /* Parses a payload: schema_check(), and the parameters. The server and core check the values. */
 wire_error mc_request_parse(const uint8_t *payload, size_t payload_bytes, mc_request *request);
 
-/* Layout of the last reply's payload. Offsets count from its start. */
-typedef struct mc_layout {
-  size_t payload_bytes;
-  size_t edges_offset;    /* double[ring_count + 1], mm */
-  size_t energies_offset; /* mc_energy structures */
-  size_t photons_offset;  /* uint64_t[side_count][ring_count] */
-  size_t rings_offset;    /* double[albedo_count][side_count][2][ring_count] */
-} mc_layout;
+/* The parts of the last reply: double[ring_count + 1], mm; mc_energy structures;
+ * uint64_t[side_count][ring_count]; double[albedo_count][side_count][2][ring_count]. */
+enum { MC_EDGES, MC_ENERGIES, MC_PHOTONS, MC_RINGS };
 
-/* Computes the layout. Returns false if a count is out of its range. */
+/* Computes the layout of the last reply. Returns false if a count is out of its range. */
 bool mc_reply_layout(uint32_t side_count, uint32_t albedo_count, uint32_t ring_count,
-                     mc_layout *layout);
+                     schema_layout *layout);
 
 /* Returns the offset of the numbers of photons that left through a side, one for each ring. */
-size_t mc_photons_offset(const mc_layout *layout, uint32_t ring_count, uint32_t side);
+size_t mc_photons_offset(const schema_layout *layout, uint32_t side);
 
 /* Returns the offset of the values of all rings of one side, for one albedo; if `error` is true, of
  * their standard errors. Both arrays are double[ring_count], 1/mm^2. */
-size_t mc_rings_offset(const mc_layout *layout, uint32_t side_count, uint32_t ring_count,
-                       uint32_t albedo, uint32_t side, bool error);
+size_t mc_rings_offset(const schema_layout *layout, uint32_t albedo, uint32_t side, bool error);
 
 /* Parses the payload of a reply. Sets *layout unless the state is MC_UNDER_WAY. Returns false if
  * the payload does not have the shape that its fixed part announces. */
 bool mc_reply_parse(const uint8_t *payload, size_t payload_bytes, wire_mc_reply *fixed,
-                    mc_layout *layout);
+                    schema_layout *layout);
 
 #endif

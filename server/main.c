@@ -22,7 +22,7 @@
 #include "server/observe/latency.h"
 #include "server/observe/log.h"
 #include "server/observe/metrics.h"
-#include "server/scpi/service.h"
+#include "server/scpi/connection.h"
 #include "server/store/cache.h"
 #include "server/store/media.h"
 
@@ -247,7 +247,7 @@ static bool serve_modbus_at(struct daemon *daemon, const char *url) {
 static bool serve_scpi_at(struct daemon *daemon, const char *address) {
   const size_t opened =
       listener_open_option(&daemon->listeners[daemon->listener_count], &daemon->server,
-                           &daemon->loop, "scpi", address, scpi_service_admit);
+                           &daemon->loop, "scpi", address, scpi_connection_admit);
   daemon->listener_count += opened;
   return opened > 0;
 }

@@ -63,7 +63,7 @@ static const libdipole_kind job_kind = {
 
 static bool begin_job(dipole_client *client, const dipole_mc_query *query,
                       libdipole_pending *pending, dipole_error *error) {
-  mc_layout layout;
+  schema_layout layout;
   uint8_t *payload;
   *pending = (libdipole_pending){.kind = &job_kind,
                                  .type = WIRE_TYPE_MC,
@@ -135,20 +135,21 @@ static dipole_mc_energy get_energy(const uint8_t *at) {
 
 /* Makes the result of the last frame of a job. */
 static dipole_mc_result *make_result(libdipole_frame *frame, const wire_mc_reply *fixed,
-                                     const mc_layout *layout) {
-  uint8_t *energies = frame->payload + layout->energies_offset;
+                                     const schema_layout *layout) {
+  uint8_t *energies = frame->payload + layout->parts[MC_ENERGIES].at;
   for (uint32_t i = 0; i < fixed->albedo_count; i++) {
     uint8_t *at = energies + (size_t)i * WIRE_BYTES_mc_energy;
     const dipole_mc_energy energy = get_energy(at);
     memcpy(at, &energy, sizeof energy);
   }
-  frame->mc = (dipole_mc_result){.end = (enum dipole_mc_end)fixed->state,
-                                 .last = progress_of(fixed),
-                                 .side_count = fixed->side_count,
-                                 .albedo_count = fixed->albedo_count,
-                                 .ring_count = fixed->ring_count,
-                                 .edges_mm = (const void *)(frame->payload + layout->edges_offset),
-                                 .energies = (const void *)energies};
+  frame->mc =
+      (dipole_mc_result){.end = (enum dipole_mc_end)fixed->state,
+                         .last = progress_of(fixed),
+                         .side_count = fixed->side_count,
+                         .albedo_count = fixed->albedo_count,
+                         .ring_count = fixed->ring_count,
+                         .edges_mm = (const void *)(frame->payload + layout->parts[MC_EDGES].at),
+                         .energies = (const void *)energies};
   return &frame->mc;
 }
 
@@ -164,7 +165,7 @@ static bool next_reply(dipole_client *client, const dipole_mc_query *query, uint
                        dipole_error *error) {
   libdipole_pending pending = {.id = id};
   wire_mc_reply fixed;
-  mc_layout layout;
+  schema_layout layout;
   libdipole_frame *frame = libdipole_reply(client, &pending, error);
   *result = NULL;
   if (frame == NULL) {
@@ -224,8 +225,8 @@ bool dipole_mc(dipole_client *client, const dipole_mc_query *query,
   }
 }
 
-static mc_layout layout_of(const dipole_mc_result *result) {
-  mc_layout layout;
+static schema_layout layout_of(const dipole_mc_result *result) {
+  schema_layout layout;
   mc_reply_layout(result->side_count, result->albedo_count, result->ring_count, &layout);
   return layout;
 }
@@ -233,11 +234,9 @@ static mc_layout layout_of(const dipole_mc_result *result) {
 static const double *rings(const dipole_mc_result *result, uint32_t albedo,
                            enum dipole_mc_side side, bool error) {
   const libdipole_frame *frame = (const void *)result;
-  const mc_layout layout = layout_of(result);
+  const schema_layout layout = layout_of(result);
   return albedo < result->albedo_count && (uint32_t)side < result->side_count
-             ? (const void *)(frame->payload + mc_rings_offset(&layout, result->side_count,
-                                                               result->ring_count, albedo, side,
-                                                               error))
+             ? (const void *)(frame->payload + mc_rings_offset(&layout, albedo, side, error))
              : NULL;
 }
 
@@ -253,8 +252,8 @@ const double *dipole_mc_errors(const dipole_mc_result *result, uint32_t albedo,
 
 const uint64_t *dipole_mc_photons(const dipole_mc_result *result, enum dipole_mc_side side) {
   const libdipole_frame *frame = (const void *)result;
-  const mc_layout layout = layout_of(result);
+  const schema_layout layout = layout_of(result);
   return (uint32_t)side < result->side_count
-             ? (const void *)(frame->payload + mc_photons_offset(&layout, result->ring_count, side))
+             ? (const void *)(frame->payload + mc_photons_offset(&layout, side))
              : NULL;
 }

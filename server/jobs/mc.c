@@ -34,7 +34,7 @@ struct mc_task {
   uint64_t batches_max;
   uint32_t side_count;
   uint32_t ring_count;
-  mc_layout layout;
+  schema_layout layout;
   core_mc_plan *plan;
   core_mc_total *total;
   core_mc_ring *rings; /* [ring_count], working space */
@@ -361,12 +361,12 @@ static void put_array(uint8_t *table, size_t offset, uint32_t index, const void 
 
 /* Writes the rings of one albedo and side. All albedos share the edges and the photons. */
 static void put_rings(struct mc_task *task, uint32_t albedo, uint32_t side) {
-  const mc_layout *layout = &task->layout;
-  const uint32_t sides = task->side_count, count = task->ring_count;
-  const size_t edges = layout->edges_offset;
-  const size_t photons = mc_photons_offset(layout, count, side);
-  const size_t R = mc_rings_offset(layout, sides, count, albedo, side, false);
-  const size_t error = mc_rings_offset(layout, sides, count, albedo, side, true);
+  const schema_layout *layout = &task->layout;
+  const uint32_t count = task->ring_count;
+  const size_t edges = (size_t)layout->parts[MC_EDGES].at;
+  const size_t photons = mc_photons_offset(layout, side);
+  const size_t R = mc_rings_offset(layout, albedo, side, false);
+  const size_t error = mc_rings_offset(layout, albedo, side, true);
   core_mc_total_rings(task->total, albedo, side, task->rings);
   note_worst(task, albedo, side);
   for (uint32_t i = 0; i < count; i++) {
@@ -395,7 +395,7 @@ static void write_table(struct mc_task *task, enum mc_state state) {
   begin_worst(task);
   for (uint32_t albedo = 0; albedo < task->request.albedo_count; albedo++) {
     const wire_mc_energy energy = energy_of(task, albedo);
-    wire_put_mc_energy(task->table + task->layout.energies_offset +
+    wire_put_mc_energy(task->table + task->layout.parts[MC_ENERGIES].at +
                            (size_t)albedo * WIRE_BYTES_mc_energy,
                        &energy);
     for (uint32_t side = 0; side < task->side_count; side++) {

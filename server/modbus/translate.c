@@ -491,23 +491,23 @@ static void take_mc(const uint8_t *request, const uint8_t *reply, size_t reply_b
   };
   (void)request;
   wire_mc_reply start;
-  mc_layout layout;
+  schema_layout layout;
   const bool whole = mc_reply_parse(reply, reply_bytes, &start, &layout);
   assert(whole);
   set_progress(image, &start);
   if (start.state == MC_UNDER_WAY) {
     return;
   }
-  set_fields(REGISTERS_JOB_MC, STRUCTURE(mc_energy), reply + layout.energies_offset, image);
+  set_fields(REGISTERS_JOB_MC, STRUCTURE(mc_energy), reply + layout.parts[MC_ENERGIES].at, image);
   const unsigned count = start.ring_count;
   const unsigned before = registers_u16(image, REGISTERS_AT_MC_COUNT);
-  const struct values edges = {reply + layout.edges_offset, sizeof(double)};
+  const struct values edges = {reply + layout.parts[MC_EDGES].at, sizeof(double)};
   set_values(image, REGISTERS_AT_MC_EDGES, 0, &edges, count + 1, before > 0 ? before + 1 : 0);
   for (unsigned i = 0; i < 2 * CORE_MC_SIDES; i++) {
     const unsigned side = i / 2;
     struct values values = {NULL, sizeof(double)};
     if (side < start.side_count) {
-      values.at = reply + mc_rings_offset(&layout, start.side_count, count, 0, side, i % 2);
+      values.at = reply + mc_rings_offset(&layout, 0, side, i % 2);
     }
     set_values(image, at[side][i % 2], 0, &values, count, before);
   }

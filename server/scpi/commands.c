@@ -892,7 +892,8 @@ COMMAND(tell_edges) {
   const uint8_t *reply = reply_of(s, command, &layout);
   (void)unit;
   return reply == NULL ? FAILED
-                       : answer_values(s, reply + layout.parts[0].at, layout.parts[0].count, false);
+                       : answer_values(s, reply + layout.parts[MC_EDGES].at,
+                                       layout.parts[MC_EDGES].count, false);
 }
 
 /* Answers with the values of a side, or their standard errors. */
@@ -914,8 +915,7 @@ COMMAND(tell_rings) {
   if (unit->at < unit->end && (!take_field(s, unit, &field, NULL, &side) || !took_all(s, unit))) {
     return FAILED;
   }
-  const size_t array = 2 * (side - 1) + command->number;
-  return answer_values(s, reply + layout.parts[3].at + array * fixed.ring_count * sizeof(double),
+  return answer_values(s, reply + mc_rings_offset(&layout, 0, side - 1, command->number == 1),
                        fixed.ring_count, false);
 }
 

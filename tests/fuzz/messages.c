@@ -233,7 +233,6 @@ static bool parse_reply(unsigned type, const uint8_t *payload, size_t size) {
   } fixed;
   eval_layout evaluated;
   varying_layout varying;
-  mc_layout walked;
   schema_layout layout;
   core_parameters parameters;
   const core_medium *layers;
@@ -254,7 +253,7 @@ static bool parse_reply(unsigned type, const uint8_t *payload, size_t size) {
   case WIRE_TYPE_VARYING:
     return varying_reply_parse(payload, size, &fixed.varying, &varying);
   case WIRE_TYPE_MC:
-    return mc_reply_parse(payload, size, &fixed.mc, &walked);
+    return mc_reply_parse(payload, size, &fixed.mc, &layout);
   case WIRE_TYPE_TABLE:
     if (!table_reply_parse(payload, size, &fixed.table, &layers, &parameters, &words)) {
       return false;

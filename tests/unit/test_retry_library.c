@@ -140,7 +140,7 @@ static const dipole_mc_query job = {.medium = {.1, 1, 0, 1.3},
 /* Answers an mc request with a report of progress and then, unless the state is MC_UNDER_WAY, with
  * a table. */
 static void walk_until(int fd, enum mc_state state) {
-  mc_layout layout;
+  schema_layout layout;
   peer_frame request;
   wire_mc_reply reply = {.photons = 10};
   peer_say_hello_or_abort(fd);
