@@ -39,11 +39,14 @@
 #define KEY(field)                                                                                 \
   .name = #field, .key = ",\"" #field "\":", .key_bytes = sizeof(",\"" #field "\":") - 1
 #define ONE(value, field, about, ...)                                                              \
-  {KEY(field), .kind = SCHEMA_##value, .count = 1, .meaning = about, __VA_ARGS__},
+  {KEY(field), .kind = SCHEMA_##value, .count = 1, .bytes = WIRE_SIZE_##value, .meaning = about,   \
+   __VA_ARGS__},
 #define ARRAY(value, field, values, about, ...)                                                    \
-  {KEY(field), .kind = SCHEMA_##value, .count = values, .meaning = about, __VA_ARGS__},
+  {KEY(field),       .kind = SCHEMA_##value,                                                       \
+   .count = values,  .bytes = (values)*WIRE_SIZE_##value,                                          \
+   .meaning = about, __VA_ARGS__},
 #define TEXT(field, values, about)                                                                 \
-  {KEY(field), .kind = SCHEMA_text, .count = values, .meaning = about},
+  {KEY(field), .kind = SCHEMA_text, .count = values, .bytes = values, .meaning = about},
 #define WIRE_STRUCTURE(structure)                                                                  \
   static const schema_field fields_of_##structure[] = {                                            \
       WIRE_FIELDS_##structure(ONE, ARRAY, TEXT){.name = NULL}};
@@ -140,10 +143,6 @@ static size_t kind_bytes(enum schema_kind kind) {
   return bytes[kind];
 }
 
-size_t schema_field_bytes(const schema_field *field) {
-  return kind_bytes(field->kind) * field->count;
-}
-
 const schema_field *schema_field_of(const schema_payload *payload, const char *name) {
   for (int i = 0; i < 2 && payload->structures[i] != NULL; i++) {
     for (const schema_field *field = payload->structures[i]->fields; field->name != NULL; field++) {
@@ -227,9 +226,9 @@ static uint64_t read_named(const schema_payload *payload, const uint8_t *bytes, 
   for (int i = 0; i < 2 && payload->structures[i] != NULL; i++) {
     for (const schema_field *field = payload->structures[i]->fields; field->name != NULL; field++) {
       if (strcmp(field->name, name) == 0) {
-        return read_bits(bytes + at, schema_field_bytes(field));
+        return read_bits(bytes + at, field->bytes);
       }
-      at += schema_field_bytes(field);
+      at += field->bytes;
     }
   }
   return 0;
@@ -250,7 +249,7 @@ wire_error schema_check_fields(const schema_payload *payload, const uint8_t *byt
   const uint8_t *at = bytes;
   for (int i = 0; i < 2 && payload->structures[i] != NULL; i++) {
     for (const schema_field *field = payload->structures[i]->fields; field->name != NULL; field++) {
-      const size_t field_bytes = schema_field_bytes(field);
+      const size_t field_bytes = field->bytes;
       const uint64_t bits = field_bytes <= sizeof bits ? read_bits(at, field_bytes) : 0;
       const wire_error error = schema_check_value(field, bits);
       if (error.status != WIRE_STATUS_OK) {

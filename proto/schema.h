@@ -34,6 +34,7 @@ typedef struct schema_field {
   uint8_t key_bytes;
   enum schema_kind kind;
   unsigned count; /* number of values, or bytes of a text */
+  unsigned bytes; /* of all values */
   const char *meaning;
   const char *unit;        /* NULL: none */
   const core_choice *list; /* the list whose ids are valid; NULL: the field is a number */
@@ -56,9 +57,6 @@ const char *schema_kind_name(enum schema_kind kind);
 
 /* Returns the sum of all entries of a list. */
 unsigned schema_all_bits(const core_choice *list);
-
-/* Returns the bytes of all values of a field. */
-size_t schema_field_bytes(const schema_field *field);
 
 /* Returns whether a field names content by its hash, two numbers; in JSON it is one text. */
 static inline bool schema_is_name(const schema_field *field) {

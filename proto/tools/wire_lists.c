@@ -119,9 +119,8 @@ static void put_structures(void) {
       print_form(field > structure->fields ? ",{" : "{");
       print_form("'name':%s,'kind':%s,'count':%u,'bytes':%u,'meaning':%s,'unit':%s,'usual':%s,"
                  "'usual_number':%g,'least':%g,'most':%g}",
-                 field->name, schema_kind_name(field->kind), U(field->count),
-                 U(schema_field_bytes(field)), field->meaning, field->unit,
-                 usual != NULL && !field->bits ? usual->name : NULL,
+                 field->name, schema_kind_name(field->kind), U(field->count), U(field->bytes),
+                 field->meaning, field->unit, usual != NULL && !field->bits ? usual->name : NULL,
                  field->list == NULL ? field->usual : 0, spans ? field->least : 0,
                  spans ? field->most : 0);
     }

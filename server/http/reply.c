@@ -54,7 +54,7 @@ static void write_one(struct text *text, const char *key, enum schema_kind kind,
 }
 
 static void write_field(struct text *text, const schema_field *field, const uint8_t *at) {
-  const size_t bytes = schema_field_bytes(field) / field->count;
+  const size_t bytes = field->bytes / field->count;
   if (field->list != NULL) {
     write_choice(text, field, (unsigned)get_count(at, bytes));
   } else if (field->kind == SCHEMA_text) {
@@ -65,7 +65,7 @@ static void write_field(struct text *text, const schema_field *field, const uint
     http_text_string(text, field->name, string);
   } else if (schema_is_name(field)) {
     char digits[NAME_DIGITS + 1];
-    for (size_t i = 0; i < schema_field_bytes(field); i++) {
+    for (size_t i = 0; i < field->bytes; i++) {
       snprintf(digits + 2 * i, 3, "%02x", at[i]);
     }
     http_text_string(text, field->name, digits);
@@ -89,7 +89,7 @@ static const uint8_t *write_fields(struct text *text, const schema_field *fields
     } else if (!fields->hidden) {
       write_field(text, fields, at);
     }
-    at += schema_field_bytes(fields);
+    at += fields->bytes;
   }
   return at;
 }

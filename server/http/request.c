@@ -817,7 +817,7 @@ static bool put_name(struct translation *t, const schema_field *field, uint8_t *
   if (count != NAME_DIGITS || strspn(digits, "0123456789abcdef") != count) {
     return fail_with(t, bad_value(field->name, "32 hexadecimal digits: the `set` of /v1/points"));
   }
-  for (size_t i = 0; i < schema_field_bytes(field); i++) {
+  for (size_t i = 0; i < field->bytes; i++) {
     const char pair[3] = {digits[2 * i], digits[2 * i + 1], '\0'};
     at[i] = (uint8_t)strtoul(pair, NULL, 16);
   }
@@ -835,10 +835,9 @@ static bool put_fixed(struct translation *t, const schema_field *fields, size_t 
       return false;
     }
     if (!schema_is_name(field)) {
-      memcpy(at, &number,
-             schema_field_bytes(field)); /* the lowest byte is the first (proto/wire.c) */
+      memcpy(at, &number, field->bytes); /* the lowest byte is the first (proto/wire.c) */
     }
-    *offset += schema_field_bytes(field);
+    *offset += field->bytes;
     if (is_same(field->name, "evaluator")) {
       *single = core_evaluator_bytes((unsigned)number) == sizeof(float);
     }

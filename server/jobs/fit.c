@@ -138,24 +138,15 @@ static enum job_outcome end_fit_part(struct fit_job *fit) {
 
 /* ---- fitting --------------------------------------------------------------------------------- */
 
-static wire_error out_of_memory(void) {
-  return job_fault(
-      (core_fault){CORE_FIELD_MEMORY, "less than the memory that is free: try again", 0}, 0);
-}
-
 static enum job_outcome get_design(struct fit_job *fit) {
-  const size_t bytes = fit->request.design_bytes_count;
-  const struct cache_key key = {.kind = &design_kind,
-                                .content = fit->request.design_bytes,
-                                .content_bytes = bytes,
-                                .hash = cache_hash(0, fit->request.design_bytes, bytes)};
-  const enum lookup_state state =
-      lookup_get(&fit->job.context->profiles.lookups, &fit->lookup, &key, CACHE_SLOW, true);
-  if (state != LOOKUP_READY) {
-    return job_follow(&fit->job, state, &fit->lookup.fault, fit->lookup.fault.index);
+  const enum job_outcome outcome =
+      job_get(&fit->job, &fit->lookup, &design_kind, fit->request.design_bytes,
+              fit->request.design_bytes_count, CACHE_SLOW);
+  if (outcome != JOB_GOES_ON) {
+    return outcome;
   }
   fit->search = core_fit_search_new();
-  return fit->search != NULL ? JOB_GOES_ON : job_refuse(&fit->job, out_of_memory());
+  return fit->search != NULL ? JOB_GOES_ON : job_refuse(&fit->job, job_no_memory());
 }
 
 /* The next set: its readings, and room for its residuals or NULL. */
@@ -194,7 +185,7 @@ static enum job_outcome begin_refining(struct fit_job *fit, const core_fit_resul
     fit_design_read(fit->request.design_bytes, &read);
     fit->refining = malloc(sizeof *fit->refining);
     if (fit->refining == NULL) {
-      return job_refuse(&fit->job, out_of_memory());
+      return job_refuse(&fit->job, job_no_memory());
     }
     struct profiles_lookup *lookup = &fit->refining->lookup;
     *lookup = (struct profiles_lookup){.cached = {.on_ready = fit->lookup.on_ready,

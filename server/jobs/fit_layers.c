@@ -91,12 +91,6 @@ static const struct cache_kind reply_kind = {.thing_bytes = sizeof(struct layers
 
 static enum job_outcome start_layers(struct job *job, const struct job_request *from) {
   struct layers_job *layers = layers_of(job);
-  schema_layout layout;
-  const wire_error error =
-      schema_check(&schema_fit_layers_request, from->payload, from->header->payload_bytes, &layout);
-  if (error.status != WIRE_STATUS_OK) {
-    return job_refuse(job, error);
-  }
   const core_layers_fit_request request = read_request(from->payload);
   const core_fault fault = core_layers_fit_check(&request);
   if (fault.field != NULL) {
@@ -109,16 +103,11 @@ static enum job_outcome start_layers(struct job *job, const struct job_request *
 
 static enum job_outcome step_layers(struct job *job, uint64_t *budget) {
   struct layers_job *layers = layers_of(job);
-  const size_t bytes = job->header.payload_bytes;
-  const struct cache_key key = {.kind = &reply_kind,
-                                .content = layers->payload,
-                                .content_bytes = bytes,
-                                .hash = cache_hash(0, layers->payload, bytes)};
-  const enum lookup_state state =
-      lookup_get(&job->context->profiles.lookups, &layers->lookup, &key, CACHE_SOLVED, true);
+  const enum job_outcome outcome = job_get(job, &layers->lookup, &reply_kind, layers->payload,
+                                           job->header.payload_bytes, CACHE_SOLVED);
   *budget -= *budget < JOB_STEP_RADII ? *budget : JOB_STEP_RADII;
-  if (state != LOOKUP_READY) {
-    return job_follow(job, state, &layers->lookup.fault, layers->lookup.fault.index);
+  if (outcome != JOB_GOES_ON) {
+    return outcome;
   }
   job->part_bytes = reply_bytes_of(lookup_thing(&layers->lookup));
   return JOB_NEXT_PART;
@@ -134,5 +123,8 @@ static void end_layers(struct job *job) {
   lookup_return(&layers_of(job)->lookup);
 }
 
-const struct job_kind job_kind_FIT_LAYERS = {
-    .start = start_layers, .begin_part = put_layers, .step = step_layers, .end = end_layers};
+const struct job_kind job_kind_FIT_LAYERS = {.request = &schema_fit_layers_request,
+                                             .start = start_layers,
+                                             .begin_part = put_layers,
+                                             .step = step_layers,
+                                             .end = end_layers};

@@ -92,18 +92,13 @@ static size_t place_bytes(const struct tissue_fit *of) {
   return sizeof(struct places) + 5 * sizeof(double) * (size_t)of->fixed.place_count;
 }
 
-static wire_error out_of_memory(void) {
-  return job_fault(
-      (core_fault){CORE_FIELD_MEMORY, "less than the memory that is free: try again", 0}, 0);
-}
-
 /* Gathers and checks the places. */
 static wire_error take_places(struct tissue_fit *of) {
   const wire_fit_tissue_request *fixed = &of->fixed;
   const double *value = of->tissue.value;
   of->places = malloc(place_bytes(of));
   if (of->places == NULL) {
-    return out_of_memory();
+    return job_no_memory();
   }
   *of->places = (struct places){fixed->model,
                                 fixed->axis,
@@ -251,13 +246,13 @@ static wire_error prepare_search(struct tissue_fit *of) {
   const size_t count = design.chromophore_count * design.wavelength_count;
   double *absorption = malloc((count + 1) * sizeof *absorption);
   if (absorption == NULL) {
-    return out_of_memory();
+    return job_no_memory();
   }
   design.absorption_per_mm = absorption;
   error = job_error(find_absorption(of, absorption));
   if (error.status == WIRE_STATUS_OK) {
     of->search = core_spectral_create(&design, of->fixed.place_count);
-    error = of->search != NULL ? error : out_of_memory();
+    error = of->search != NULL ? error : job_no_memory();
   }
   free(absorption);
   return error;
@@ -266,15 +261,12 @@ static wire_error prepare_search(struct tissue_fit *of) {
 /* ---- starting -------------------------------------------------------------------------------- */
 
 static wire_error check_request(struct tissue_fit *of, const struct job_request *from) {
-  wire_error error = schema_check(&schema_fit_tissue_request, from->payload,
-                                  from->header->payload_bytes, &of->layout);
-  if (error.status != WIRE_STATUS_OK) {
-    return error;
-  }
   of->payload = from->payload;
+  of->layout = from->layout;
   wire_get_fit_tissue_request(from->payload, &of->fixed);
-  error = tissue_read(&of->tissue, of->fixed.tissue, of->fixed.haemoglobin,
-                      of->payload + of->layout.parts[PROPERTY].at, of->fixed.property_count);
+  wire_error error =
+      tissue_read(&of->tissue, of->fixed.tissue, of->fixed.haemoglobin,
+                  of->payload + of->layout.parts[PROPERTY].at, of->fixed.property_count);
   error = error.status == WIRE_STATUS_OK ? prepare_search(of) : error;
   return error.status == WIRE_STATUS_OK ? take_places(of) : error;
 }
@@ -330,19 +322,6 @@ static enum job_outcome begin_tissue_part(struct job *job, uint8_t *payload) {
   job_part_begin(&of->parts, payload);
   of->fitted = 0;
   return JOB_GOES_ON;
-}
-
-static enum job_outcome get_places(struct tissue_fit *of) {
-  const size_t bytes = place_bytes(of);
-  const struct cache_key key = {.kind = &places_kind,
-                                .content = of->places,
-                                .content_bytes = bytes,
-                                .hash = cache_hash(0, of->places, bytes)};
-  const enum lookup_state state =
-      lookup_get(&of->job.context->profiles.lookups, &of->lookup, &key, CACHE_SLOW, true);
-  return state != LOOKUP_READY
-             ? job_follow(&of->job, state, &of->lookup.fault, of->lookup.fault.index)
-             : JOB_GOES_ON;
 }
 
 static wire_fitted_tissue encode_result(const core_spectral_result *result) {
@@ -415,7 +394,10 @@ static void fit_next(struct tissue_fit *of, const core_fit *places) {
 
 static enum job_outcome step_tissue_fit(struct job *job, uint64_t *budget) {
   struct tissue_fit *of = tissue_fit_of(job);
-  const enum job_outcome outcome = of->lookup.entry != NULL ? JOB_GOES_ON : get_places(of);
+  const enum job_outcome outcome =
+      of->lookup.entry != NULL
+          ? JOB_GOES_ON
+          : job_get(job, &of->lookup, &places_kind, of->places, place_bytes(of), CACHE_SLOW);
   if (outcome != JOB_GOES_ON) {
     return outcome;
   }
@@ -441,7 +423,8 @@ static void end_tissue_fit(struct job *job) {
   release(of);
 }
 
-const struct job_kind job_kind_FIT_TISSUE = {.start = start_tissue_fit,
+const struct job_kind job_kind_FIT_TISSUE = {.request = &schema_fit_tissue_request,
+                                             .start = start_tissue_fit,
                                              .begin_part = begin_tissue_part,
                                              .step = step_tissue_fit,
                                              .end = end_tissue_fit};

@@ -16,7 +16,7 @@ const struct job_type *job_type_of(unsigned type) {
   return type < count && types[type].kind != NULL ? &types[type] : NULL;
 }
 
-enum job_outcome job_start(struct job_slot *slot, const struct job_request *request) {
+enum job_outcome job_start(struct job_slot *slot, struct job_request *request) {
   struct job *job = (struct job *)(void *)slot->bytes;
   if (request->type == NULL) {
     return job_refuse(job,
@@ -31,7 +31,11 @@ enum job_outcome job_start(struct job_slot *slot, const struct job_request *requ
   job->large = false;
   job->lookup = NULL;
   job->reader_idle = true;
-  return job->kind->start(job, request);
+  const wire_error error = job->kind->request == NULL
+                               ? wire_error_none()
+                               : schema_check(job->kind->request, request->payload,
+                                              request->header->payload_bytes, &request->layout);
+  return error.status == WIRE_STATUS_OK ? job->kind->start(job, request) : job_refuse(job, error);
 }
 
 void job_end(struct job *job) {
@@ -146,6 +150,17 @@ enum job_outcome job_follow(struct job *job, enum lookup_state state, const core
                                 : job_refuse(job, job_fault(*fault, channel));
 }
 
+enum job_outcome job_get(struct job *job, struct lookup *lookup, const struct cache_kind *kind,
+                         const void *content, size_t bytes, enum cache_pace pace) {
+  const struct cache_key key = {.kind = kind,
+                                .content = content,
+                                .content_bytes = bytes,
+                                .hash = cache_hash(0, content, bytes)};
+  const enum lookup_state state =
+      lookup_get(&job->context->profiles.lookups, lookup, &key, pace, true);
+  return job_follow(job, state, &lookup->fault, lookup->fault.index);
+}
+
 wire_error job_error(core_fault fault) {
   if (fault.field == NULL) {
     return wire_error_none();
@@ -167,14 +182,15 @@ wire_error job_fault(core_fault fault, uint64_t channel) {
   return error;
 }
 
+wire_error job_no_memory(void) {
+  return job_fault(
+      (core_fault){CORE_FIELD_MEMORY, "less than the memory that is free: try again", 0}, 0);
+}
+
 wire_error job_busy(void) {
   return wire_error_busy("max_total_bytes",
                          "fewer bytes at a time in the buffers of all connections",
                          JOB_RETRY_AFTER_MS);
-}
-
-wire_error job_bad_length(const char *allowed) {
-  return wire_error_make(WIRE_STATUS_BAD_LENGTH, "payload_bytes", allowed);
 }
 
 wire_error job_too_large(const char *field, uint64_t most, const char *what) {

@@ -77,6 +77,7 @@ struct job_request {
   struct job_context *context;
   void (*on_ready)(void *owner); /* called on the worker's thread when a waiting job can go on */
   void *owner;
+  schema_layout layout;         /* of the payload; set by job_start() for kinds with `request` */
   struct cache_owner *profiles; /* the client, whose turns are used to prepare slow profiles */
   bool whole;             /* whether the reply has to be one part, as far as its size allows */
   struct points **points; /* the set that the client is sending, *points NULL if there is none */
@@ -106,6 +107,9 @@ struct job_kind {
 
   /* Makes a detached job end soon with its results so far. NULL: a cancel request ends it at once. */
   void (*stop)(struct job *job, enum job_stop why);
+
+  /* What job_start() checks before start(); NULL: start() checks the payload. */
+  const schema_payload *request;
 
   /* Whether such requests take long: a connection serves the requests behind them meanwhile. */
   bool detached;
@@ -190,7 +194,7 @@ const struct job_type *job_type_of(unsigned type);
 
 /* Starts a job in a free slot. Returns what the kind's start() returns, or REFUSED for an unknown
  * message. */
-enum job_outcome job_start(struct job_slot *slot, const struct job_request *request);
+enum job_outcome job_start(struct job_slot *slot, struct job_request *request);
 
 /* Ends a job that start() has not refused: removes its work from the worker's
  * owed_radii and calls the kind's end(). */
@@ -230,6 +234,10 @@ enum job_outcome job_refuse(struct job *job, wire_error refusal);
 /* Returns JOB_GOES_ON if there is no error; else refuses the job with it. */
 enum job_outcome job_check(struct job *job, wire_error error);
 
+/* Gets the thing of this content from the cache, and follows the lookup. */
+enum job_outcome job_get(struct job *job, struct lookup *lookup, const struct cache_kind *kind,
+                         const void *content, size_t bytes, enum cache_pace pace);
+
 /* Follows a lookup for a channel: continues with what is READY, WAITS, or refuses the job by
  * *fault. */
 enum job_outcome job_follow(struct job *job, enum lookup_state state, const core_fault *fault,
@@ -242,11 +250,11 @@ wire_error job_error(core_fault fault);
  * else BAD_VALUE. */
 wire_error job_fault(core_fault fault, uint64_t channel);
 
+/* Makes the error BUSY for memory that the system does not give. */
+wire_error job_no_memory(void);
+
 /* Makes the error BUSY for a budget of all buffers that is exhausted. */
 wire_error job_busy(void);
-
-/* Makes the error BAD_LENGTH of a payload that has another size than `allowed` says. */
-wire_error job_bad_length(const char *allowed);
 
 /* Makes the error TOO_LARGE, whose `allowed` is the text "at most MOST WHAT". */
 wire_error job_too_large(const char *field, uint64_t most, const char *what);

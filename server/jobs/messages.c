@@ -49,12 +49,6 @@ static wire_hello_reply describe_daemon(const struct server *server) {
 }
 
 static wire_error check_hello(const struct job_request *from) {
-  schema_layout layout;
-  const wire_error error =
-      schema_check(&schema_hello_request, from->payload, from->header->payload_bytes, &layout);
-  if (error.status != WIRE_STATUS_OK) {
-    return error;
-  }
   wire_hello_request request;
   wire_get_hello_request(from->payload, &request);
   if (request.version_min > request.version_max) {
@@ -89,16 +83,14 @@ static enum job_outcome put_hello(struct job *job, uint8_t *at) {
   return JOB_DONE;
 }
 
-const struct job_kind job_kind_HELLO = {.start = start_hello, .begin_part = put_hello};
+const struct job_kind job_kind_HELLO = {
+    .request = &schema_hello_request, .start = start_hello, .begin_part = put_hello};
 
 /* ---- lists ----------------------------------------------------------------------------------- */
 
-/* Accepts a request without a payload, whose reply is a list. */
-static enum job_outcome start_list(struct job *job, const struct job_request *request, size_t count,
-                                   size_t entry_bytes) {
-  return request->header->payload_bytes != 0
-             ? job_refuse(job, job_bad_length("0"))
-             : reply_with(job, WIRE_BYTES_list_reply + count * entry_bytes);
+/* Accepts a request whose reply is a list. */
+static enum job_outcome start_list(struct job *job, size_t count, size_t entry_bytes) {
+  return reply_with(job, WIRE_BYTES_list_reply + count * entry_bytes);
 }
 
 /* Writes the count of a list. Returns the address of the first entry. */
@@ -109,12 +101,13 @@ static uint8_t *put_list(uint8_t *at, size_t count) {
 }
 
 static enum job_outcome start_media(struct job *job, const struct job_request *request) {
+  (void)request;
   size_t count, layers = 0;
   const core_measured_medium *all = media_all(&count);
   for (size_t i = 0; i < count; i++) {
     layers += all[i].layer_count;
   }
-  return start_list(job, request, layers, WIRE_BYTES_measured_medium);
+  return start_list(job, layers, WIRE_BYTES_measured_medium);
 }
 
 static enum job_outcome put_media(struct job *job, uint8_t *at) {
@@ -143,7 +136,8 @@ static enum job_outcome put_media(struct job *job, uint8_t *at) {
   return JOB_DONE;
 }
 
-const struct job_kind job_kind_MEDIA = {.start = start_media, .begin_part = put_media};
+const struct job_kind job_kind_MEDIA = {
+    .request = &schema_nothing, .start = start_media, .begin_part = put_media};
 
 static void put_reported(void *context, const struct report_value *value) {
   if (value->name != NULL) {
@@ -158,7 +152,8 @@ static size_t statistics_count(void) {
 }
 
 static enum job_outcome start_statistics(struct job *job, const struct job_request *request) {
-  return start_list(job, request, statistics_count(), WIRE_BYTES_value);
+  (void)request;
+  return start_list(job, statistics_count(), WIRE_BYTES_value);
 }
 
 static enum job_outcome put_statistics(struct job *job, uint8_t *at) {
@@ -167,7 +162,8 @@ static enum job_outcome put_statistics(struct job *job, uint8_t *at) {
   return JOB_DONE;
 }
 
-const struct job_kind job_kind_STATS = {.start = start_statistics, .begin_part = put_statistics};
+const struct job_kind job_kind_STATS = {
+    .request = &schema_nothing, .start = start_statistics, .begin_part = put_statistics};
 
 /* ---- ping ------------------------------------------------------------------------------------ */
 
@@ -181,7 +177,8 @@ JOB_STRUCTURE(struct ping, ping_of)
 static enum job_outcome start_ping(struct job *job, const struct job_request *request) {
   ping_of(job)->payload = request->payload;
   return request->header->payload_bytes > WIRE_PING_MAX_BYTES
-             ? job_refuse(job, job_bad_length("at most 1024"))
+             ? job_refuse(job,
+                          wire_error_make(WIRE_STATUS_BAD_LENGTH, "payload_bytes", "at most 1024"))
              : reply_with(job, request->header->payload_bytes);
 }
 
@@ -203,9 +200,6 @@ JOB_STRUCTURE(struct cancel, cancel_of)
 
 static enum job_outcome start_cancel(struct job *job, const struct job_request *from) {
   struct cancel *cancel = cancel_of(job);
-  if (from->header->payload_bytes != WIRE_BYTES_cancel_request) {
-    return job_refuse(job, job_bad_length("8"));
-  }
   wire_cancel_request request;
   wire_get_cancel_request(from->payload, &request);
   cancel->found = from->cancel != NULL && from->cancel(from->canceller, request.job_id);
@@ -218,4 +212,5 @@ static enum job_outcome put_cancel(struct job *job, uint8_t *at) {
   return JOB_DONE;
 }
 
-const struct job_kind job_kind_CANCEL = {.start = start_cancel, .begin_part = put_cancel};
+const struct job_kind job_kind_CANCEL = {
+    .request = &schema_cancel_request, .start = start_cancel, .begin_part = put_cancel};

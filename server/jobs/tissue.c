@@ -42,17 +42,12 @@ static core_fault check_wavelengths(const struct tissue_job *of) {
 
 static enum job_outcome start_tissue(struct job *job, const struct job_request *from) {
   struct tissue_job *of = tissue_of(job);
-  schema_layout layout;
-  wire_error error =
-      schema_check(&schema_tissue_request, from->payload, from->header->payload_bytes, &layout);
-  if (error.status == WIRE_STATUS_OK) {
-    wire_tissue_request fixed;
-    wire_get_tissue_request(from->payload, &fixed);
-    of->wavelengths = (const void *)(from->payload + layout.parts[1].at);
-    of->count = fixed.wavelength_count;
-    error = tissue_read(&of->tissue, fixed.tissue, fixed.haemoglobin,
-                        from->payload + layout.parts[0].at, fixed.property_count);
-  }
+  wire_tissue_request fixed;
+  wire_get_tissue_request(from->payload, &fixed);
+  of->wavelengths = (const void *)(from->payload + from->layout.parts[1].at);
+  of->count = fixed.wavelength_count;
+  wire_error error = tissue_read(&of->tissue, fixed.tissue, fixed.haemoglobin,
+                                 from->payload + from->layout.parts[0].at, fixed.property_count);
   if (error.status == WIRE_STATUS_OK) {
     error = job_error(check_wavelengths(of));
   }
@@ -78,4 +73,5 @@ static enum job_outcome put_tissue(struct job *job, uint8_t *at) {
   return JOB_DONE;
 }
 
-const struct job_kind job_kind_TISSUE = {.start = start_tissue, .begin_part = put_tissue};
+const struct job_kind job_kind_TISSUE = {
+    .request = &schema_tissue_request, .start = start_tissue, .begin_part = put_tissue};

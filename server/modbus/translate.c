@@ -63,7 +63,7 @@ static const struct links *links_of(enum registers_job_kind kind, const schema_s
       assert(links->count < LINKS_MAX);
       links->items[links->count++] = (struct link){field, at, found};
     }
-    at += schema_field_bytes(field);
+    at += field->bytes;
   }
   return links;
 }
@@ -87,7 +87,7 @@ static void put_fields(enum registers_job_kind kind, const schema_structure *str
     const uint64_t integer = link->field->kind == SCHEMA_f64 ? 0 : (uint64_t)number;
     memcpy(to + link->at,
            link->field->kind == SCHEMA_f64 ? (const void *)&number : (const void *)&integer,
-           schema_field_bytes(link->field));
+           link->field->bytes);
   }
 }
 
@@ -302,7 +302,7 @@ static void set_fields(enum registers_job_kind kind, const schema_structure *str
   const struct links *links = links_of(kind, structure, "", true);
   for (unsigned i = 0; i < links->count; i++) {
     const struct link *link = &links->items[i];
-    const size_t bytes = schema_field_bytes(link->field) / link->field->count;
+    const size_t bytes = link->field->bytes / link->field->count;
     for (unsigned k = 0; k < link->field->count; k++) {
       const uint8_t *at = from + link->at + k * bytes;
       uint64_t integer = 0;

@@ -180,7 +180,7 @@ static bool read_number(struct scpi_session *s, const struct scpi_parameter *par
     double value;
   } words[] = {{true, "INFinity", INFINITY},
                {true, "NINFinity", -INFINITY},
-               {true, "NAN", NAN},
+               {!optional, "NAN", NAN},
                {optional, "OFF", NAN},
                {ranged, "MINimum", ranged ? field->least : 0},
                {ranged, "MAXimum", ranged ? field->most : 0}};
@@ -241,7 +241,7 @@ static const schema_field *field_named(const schema_structure *structure, const 
   const schema_field *field = structure->fields;
   *at = 0;
   while (strncmp(field->name, name, bytes) != 0 || field->name[bytes] != '\0') {
-    *at += schema_field_bytes(field++);
+    *at += field++->bytes;
   }
   return field;
 }
@@ -295,7 +295,7 @@ static bool read_choice(struct scpi_session *s, const struct scpi_parameter *par
 
 /* Writes the number of a field as its kind has it. Returns false if it does not fit. */
 static bool put_number(const schema_field *field, double value, void *at) {
-  const size_t bytes = schema_field_bytes(field);
+  const size_t bytes = field->bytes;
   const bool real = field->kind == SCHEMA_f64;
   const double end = bytes < 8 ? ldexp(1, 8 * (int)bytes) : 0x1p53; /* then not all are doubles */
   const bool fits = value >= 0 && value == floor(value) && value < end;
@@ -307,7 +307,7 @@ static bool put_number(const schema_field *field, double value, void *at) {
 static double number_at(const schema_field *field, const uint8_t *at) {
   uint64_t integer = 0;
   double real;
-  memcpy(&integer, at, schema_field_bytes(field));
+  memcpy(&integer, at, field->bytes);
   memcpy(&real, &integer, sizeof real);
   return field->kind == SCHEMA_f64 ? real : (double)integer;
 }
@@ -341,7 +341,7 @@ static bool take_field(struct scpi_session *s, struct scpi_unit *unit, const sch
     return fail_with(s, SCPI_OUT_OF_RANGE, field->name,
                      "an integer from 0 on, below 2^53 and as large as the field");
   }
-  memcpy(to, &bits, schema_field_bytes(field));
+  memcpy(to, &bits, field->bytes);
   return is_good(s, schema_check_value(field, bits));
 }
 
@@ -405,7 +405,7 @@ static void set_usual(const schema_structure *structure, void *to) {
   uint8_t *at = to;
   for (const schema_field *field = structure->fields; field->name != NULL; field++) {
     put_number(field, field->usual, at);
-    at += schema_field_bytes(field);
+    at += field->bytes;
   }
 }
 
@@ -612,10 +612,16 @@ COMMAND(use_format) {
   static const core_choice words[] = {{0, "ASCii", ""}, {1, "REAL", ""}, {0, NULL, NULL}};
   static const core_choice sizes[] = {{32, "32", ""}, {64, "64", ""}, {0, NULL, NULL}};
   static const char allowed[] = "ASCii, REAL,32 or REAL,64";
-  const schema_field word = {
-      .name = "FORMat", .kind = SCHEMA_u32, .count = 1, .list = words, .allowed = allowed};
-  const schema_field size = {
-      .name = "FORMat", .kind = SCHEMA_u32, .count = 1, .list = sizes, .allowed = allowed};
+  const schema_field word = {.name = "FORMat",
+                             .kind = SCHEMA_u32,
+                             .bytes = sizeof(uint32_t),
+                             .list = words,
+                             .allowed = allowed};
+  const schema_field size = {.name = "FORMat",
+                             .kind = SCHEMA_u32,
+                             .bytes = sizeof(uint32_t),
+                             .list = sizes,
+                             .allowed = allowed};
   uint32_t real = 0, bits = 64;
   (void)command;
   if (unit->query) {
@@ -908,7 +914,7 @@ COMMAND(tell_rings) {
   wire_get_mc_reply(reply, &fixed);
   const schema_field field = {.name = command->pattern,
                               .kind = SCHEMA_u32,
-                              .count = 1,
+                              .bytes = sizeof(uint32_t),
                               .ranged = true,
                               .least = 1,
                               .most = fixed.side_count};
@@ -943,32 +949,28 @@ COMMAND(abort_job) {
 static const core_choice orders[] = {
     {SCPI_NORMAL, "NORMal", ""}, {SCPI_SWAPPED, "SWAPped", ""}, {0, NULL, NULL}};
 
-/* A row with one field, which is a member of the session. */
-#define ONE_FIELD(pattern, FORMS, function, member, value, parameters, ...)                        \
-  {pattern,                                                                                        \
-   FORMS,                                                                                          \
-   function,                                                                                       \
-   offsetof(struct scpi_session, member),                                                          \
-   0,                                                                                              \
-   &(const schema_structure){                                                                      \
-       NULL,                                                                                       \
-       (const schema_field[]){{.name = pattern, .kind = SCHEMA_##value, .count = 1, __VA_ARGS__},  \
-                              {.name = NULL}},                                                     \
-       sizeof((struct scpi_session *)NULL)->member},                                               \
-   parameters},
+/* A structure with one field, which is a member of the session. */
+#define ONE_FIELD(header, value, ...)                                                              \
+  &(const schema_structure) {                                                                      \
+    NULL,                                                                                          \
+        (const schema_field[]){                                                                    \
+            {.name = header, .kind = SCHEMA_##value, .bytes = WIRE_SIZE_##value, __VA_ARGS__},     \
+            {.name = NULL}},                                                                       \
+        WIRE_SIZE_##value                                                                          \
+  }
+#define AT(member) offsetof(struct scpi_session, member)
 
 static const struct scpi_command commands[] = {
 #define SCPI_COMMAND(pattern, FORMS, function, number, parameters, about)                          \
   {pattern, FORMS, function, number, SCPI_MC, NULL, parameters},
 #define SCPI_REGISTER(pattern, FORMS, member, largest, about)                                      \
-  ONE_FIELD(pattern, FORMS, use_fields, status.member, u16, "<n>", RANGE(0, largest))
+  {pattern, FORMS, use_fields, AT(status.member), 0, ONE_FIELD(pattern, u16, RANGE(0, largest)),   \
+   "<n>"},
 #define SCPI_FIELDS(pattern, function, member, structure, parameters, about)                       \
-  {pattern,   BOTH,                                                                                \
-   function,  offsetof(struct scpi_session, settings.member),                                      \
-   0,         FIELDS_OF(structure),                                                                \
-   parameters},
+  {pattern, BOTH, function, AT(settings.member), 0, FIELDS_OF(structure), parameters},
 #define SCPI_FIELD(pattern, FORMS, function, member, value, attributes, parameters, about)         \
-  ONE_FIELD(pattern, FORMS, function, settings.member, value, parameters, attributes)
+  {pattern,   FORMS, function, AT(settings.member), 0, ONE_FIELD(pattern, value, attributes),      \
+   parameters},
 #define SCPI_NUMBERS(pattern, FORMS, LIST, parameters, about)                                      \
   {pattern, FORMS, use_numbers, SCPI_##LIST, 0, NULL, parameters},
 #define SCPI_QUANTITY(pattern, QUANTITY, parameters, about)                                        \
