@@ -103,41 +103,16 @@ wire_error wire_header_check(const wire_header *header, uint64_t max_payload_byt
   return wire_error_none();
 }
 
-static const struct status {
-  const char *name, *text;
-  unsigned http, exception;
-  int scpi;
-} statuses[] = {
+const wire_status_row *wire_status_of(unsigned status) {
+  static const wire_status_row statuses[] = {
 #define WIRE_STATUS(code, IDENT, modbus_exception, http, scpi, name, text)                         \
   [code] = {name, text, http, modbus_exception, scpi},
 #include "proto/statuses.def"
 #undef WIRE_STATUS
-};
-
-static const struct status *find_status(unsigned status) {
-  static const struct status unknown = {"unknown", "an error that this version does not know", 500,
-                                        4, -300};
+  };
+  static const wire_status_row unknown = {"unknown", "an error that this version does not know",
+                                          500, 4, -300};
   return status < sizeof statuses / sizeof statuses[0] ? &statuses[status] : &unknown;
-}
-
-const char *wire_status_name(unsigned status) {
-  return find_status(status)->name;
-}
-
-const char *wire_status_text(unsigned status) {
-  return find_status(status)->text;
-}
-
-unsigned wire_status_http(unsigned status) {
-  return find_status(status)->http;
-}
-
-unsigned wire_status_exception(unsigned status) {
-  return find_status(status)->exception;
-}
-
-int wire_status_scpi(unsigned status) {
-  return find_status(status)->scpi;
 }
 
 const char *wire_type_name(unsigned type) {

@@ -126,15 +126,16 @@ static inline bool wire_header_is_good(const wire_header *header, uint64_t max_p
  * the framing is lost. After any other fault the next frame starts payload_bytes further on. */
 wire_error wire_header_check(const wire_header *header, uint64_t max_payload_bytes);
 
-/* These return the name of a status, for example "busy", and its text for people. A code that is
- * not in the list has the name "unknown". */
-const char *wire_status_name(unsigned status);
-const char *wire_status_text(unsigned status);
+/* What proto/statuses.def says of a status: its name, as "busy", its text for people, the status of
+ * HTTP, as 429, the exception of Modbus, the number of SCPI's error. */
+typedef struct wire_status_row {
+  const char *name, *text;
+  unsigned http, exception;
+  int scpi;
+} wire_status_row;
 
-/* Returns the status of HTTP that stands for a status, for example 429 for BUSY. */
-unsigned wire_status_http(unsigned status);
-unsigned wire_status_exception(unsigned status); /* of Modbus */
-int wire_status_scpi(unsigned status);           /* the number of SCPI's error */
+/* Returns the row of a status. A code that is not in the list has the name "unknown". */
+const wire_status_row *wire_status_of(unsigned status);
 
 /* Returns the name of a message for the type of its request or of its reply. Returns "error" for
  * WIRE_TYPE_ERROR and "unknown" for other types. */

@@ -46,7 +46,7 @@ static const char *status_name(const dipole_info *info, unsigned status) {
       return info->choices[i].name;
     }
   }
-  return wire_status_name(status);
+  return wire_status_of(status)->name;
 }
 
 static bool is_medium_field(const char *field) {
@@ -102,8 +102,8 @@ bool libdipole_fail_refused(dipole_error *error, const dipole_info *info, uint32
   if (what[0] != '\0' && !is_about_the_daemon(from.status)) {
     libdipole_fail(error, DIPOLE_ERROR_REFUSED, "%s%s", name, what);
   } else {
-    libdipole_fail(error, DIPOLE_ERROR_REFUSED, "%s: %s%s%s", name, wire_status_text(from.status),
-                   later, what);
+    libdipole_fail(error, DIPOLE_ERROR_REFUSED, "%s: %s%s%s", name,
+                   wire_status_of(from.status)->text, later, what);
   }
   error->status = from.status;
   error->index = from.index;

@@ -218,8 +218,8 @@ static bool check_header(const wire_header *header, const libdipole_pending *pen
   char what[160];
   const wire_error fault = wire_header_check(header, UINT32_MAX);
   if (fault.status != WIRE_STATUS_OK) {
-    snprintf(what, sizeof what, "%s: %s: expected %s", wire_status_name(fault.status), fault.field,
-             fault.allowed);
+    snprintf(what, sizeof what, "%s: %s: expected %s", wire_status_of(fault.status)->name,
+             fault.field, fault.allowed);
     return libdipole_fail_protocol(error, what);
   }
   if (header->type == WIRE_TYPE_ERROR && header->payload_bytes == WIRE_BYTES_error) {

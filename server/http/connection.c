@@ -514,7 +514,7 @@ static unsigned check_body(struct http_connection *c, wire_error *error) {
     const bool has_bytes = chunks != NULL || (length != NULL && strtoull(length, NULL, 10) > 0);
     if (has_bytes && c->route.kind == MESSAGE) {
       *error = wire_error_make(WIRE_STATUS_BAD_VALUE, "body", "nothing: POST takes fields as JSON");
-      return wire_status_http(error->status);
+      return wire_status_of(error->status)->http;
     }
     return 0;
   }
@@ -530,11 +530,11 @@ static unsigned check_body(struct http_connection *c, wire_error *error) {
   }
   if (length != NULL && strtoull(length, NULL, 10) > options_of(c)->max_part_bytes) {
     *error = too_large(c, "body");
-    return wire_status_http(error->status);
+    return wire_status_of(error->status)->http;
   }
   if (c->query.count > 1) {
     *error = wire_error_make(WIRE_STATUS_BAD_VALUE, "query", "none: the request has a body");
-    return wire_status_http(error->status);
+    return wire_status_of(error->status)->http;
   }
   return 0;
 }
@@ -567,7 +567,7 @@ static unsigned check_header(struct http_connection *c, const char *url, const c
   if (c->host->stopping && c->route.kind != HEALTH && c->route.kind != READINESS) {
     *error = wire_error_make(WIRE_STATUS_SHUTTING_DOWN, "daemon",
                              "another one, or this one started again");
-    return wire_status_http(error->status);
+    return wire_status_of(error->status)->http;
   }
   return 0;
 }
@@ -592,7 +592,7 @@ static enum MHD_Result take_header(struct http_connection *c, const char *url, c
 static enum MHD_Result take_body(struct http_connection *c, const char *body, size_t *body_bytes) {
   if (c->refused == 0 && c->body.count + *body_bytes > options_of(c)->max_part_bytes) {
     c->refusal = too_large(c, "body");
-    c->refused = wire_status_http(c->refusal.status);
+    c->refused = wire_status_of(c->refusal.status)->http;
   }
   if (c->refused == 0) {
     text_add(&c->body, body, *body_bytes);
@@ -601,7 +601,7 @@ static enum MHD_Result take_body(struct http_connection *c, const char *body, si
   }
   if (c->body.failed) {
     c->refusal = buffers_full();
-    c->refused = wire_status_http(c->refusal.status);
+    c->refused = wire_status_of(c->refusal.status)->http;
   }
   *body_bytes = 0;
   return MHD_YES;

@@ -447,12 +447,12 @@ static void write_allowed(struct text *text, const char *allowed) {
 
 unsigned http_reply_write_error(const wire_error *error, struct text *text) {
   http_text_begin(text, NULL, '{');
-  http_text_string(text, "status", wire_status_name(error->status));
-  http_text_string(text, "text", wire_status_text(error->status));
+  http_text_string(text, "status", wire_status_of(error->status)->name);
+  http_text_string(text, "text", wire_status_of(error->status)->text);
   http_text_string(text, "field", error->field);
   write_allowed(text, error->allowed);
   http_text_count(text, "index", error->index);
   http_text_count(text, "retry_after_ms", error->retry_after_ms);
   http_text_end(text, '}');
-  return wire_status_http(error->status);
+  return wire_status_of(error->status)->http;
 }

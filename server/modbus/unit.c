@@ -23,7 +23,7 @@ static unsigned refuse_write(struct modbus_unit *unit, struct modbus_task *commi
   if (committed != NULL && !modbus_task_busy(committed)) {
     modbus_task_fail(committed, error, at);
   }
-  return wire_status_exception(error->status);
+  return wire_status_of(error->status)->exception;
 }
 
 /* ---- writing --------------------------------------------------------------------------------- */

@@ -58,7 +58,7 @@ static void log_end(void *owner, const wire_error *error) {
   tcp_peer(c->transport.fd, peer);
   log_peer_line(LOG_LEVEL_INFO, "event=%s status=%s%s%s%s%s%s%s",
                 is_refused(c) ? "connection-refused" : "connection-ended",
-                wire_status_name(error->status), LOG_FIELD(" field=", error->field),
+                wire_status_of(error->status)->name, LOG_FIELD(" field=", error->field),
                 LOG_FIELD(" peer=", peer), LOG_FIELD(" allowed=", error->allowed));
 }
 

@@ -45,7 +45,7 @@ void scpi_status_fail(struct scpi_status *status, int number, const char *field,
 }
 
 void scpi_status_refuse(struct scpi_status *status, const wire_error *error) {
-  scpi_status_fail(status, wire_status_scpi(error->status), error->field, error->allowed);
+  scpi_status_fail(status, wire_status_of(error->status)->scpi, error->field, error->allowed);
 }
 
 const char *scpi_status_take(struct scpi_status *status) {

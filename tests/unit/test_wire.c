@@ -107,9 +107,9 @@ UNIT_TEST(the_magic_reads_as_text) {
 /* ---- names -------------------------------------------------------------------------------- */
 
 UNIT_TEST(statuses_and_types_have_names) {
-#define WIRE_STATUS(code, IDENT, modbus_exception, http, scpi, name, text)                         \
-  assert_string_equal(wire_status_name(code), name);                                               \
-  assert_string_equal(wire_status_text(code), text);
+#define WIRE_STATUS(code, IDENT, modbus_exception, status, number, listed, told)                   \
+  assert_string_equal(wire_status_of(code)->name, listed);                                         \
+  assert_string_equal(wire_status_of(code)->text, told);
 #include "proto/statuses.def"
 #undef WIRE_STATUS
 #define WIRE_MESSAGE(type, IDENT, name, ...)                                                       \
@@ -119,8 +119,8 @@ UNIT_TEST(statuses_and_types_have_names) {
   assert_string_equal(wire_type_name(WIRE_TYPE_ERROR), "error");
   assert_string_equal(wire_type_name(0), "unknown");
   assert_string_equal(wire_type_name(0x7abc), "unknown");
-  assert_string_equal(wire_status_name(0xffff), "unknown");
-  assert_true(strlen(wire_status_text(0xffff)) > 0);
+  assert_string_equal(wire_status_of(0xffff)->name, "unknown");
+  assert_true(strlen(wire_status_of(0xffff)->text) > 0);
 }
 
 /* ---- choices ------------------------------------------------------------------------------ */
