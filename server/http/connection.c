@@ -75,7 +75,7 @@ static struct http_connection *of_handle(struct MHD_Connection *handle) {
 }
 
 static uint64_t now_ms(const struct http_connection *c) {
-  return uv_now(worker_loop(c->host->worker));
+  return uv_now(&c->host->worker->loop);
 }
 
 static const struct options *options_of(const struct http_connection *c) {
@@ -352,7 +352,7 @@ static void end_run(struct run *run, const wire_error *refusal) {
   drop_points(c);
   c->error = refusal != NULL ? *refusal : wire_error_none();
   stats_count_reply(&c->host->server->stats, c->error.status);
-  latency_note(worker_context(c->host->worker)->latency, run->latency, c->arrived_ns);
+  latency_note(c->host->worker->context.latency, run->latency, c->arrived_ns);
 }
 
 static const struct run_sink sink = {
@@ -376,7 +376,7 @@ static enum MHD_Result start_job(struct http_connection *c, enum wire_type type,
   struct job_request request = {.type = message,
                                 .header = &header,
                                 .payload = (const uint8_t *)c->payload.bytes,
-                                .context = worker_context(worker),
+                                .context = &worker->context,
                                 .profiles = &c->client.profiles,
                                 .whole = true,
                                 .points = &c->points};
@@ -386,7 +386,7 @@ static enum MHD_Result start_job(struct http_connection *c, enum wire_type type,
   run_start(&c->run, &request, deadline_ms > 0 ? c->arrived_ns / 1000000 + deadline_ms : 0);
   run_on(&c->run, &budget);
   if (c->run.state == RUN_IDLE) {
-    batch_finish(&worker_context(worker)->batch, &c->host->server->stats);
+    batch_finish(&worker->context.batch, &c->host->server->stats);
     return send_reply(c);
   }
   c->state = RUNS;

@@ -50,11 +50,11 @@ static void start_client(struct client *client) {
   struct http_service *service = service_of(client);
   for (struct port *port = service->ports; port < service->ports + service->count; port++) {
     const int fd = MHD_get_daemon_info(port->daemon, MHD_DAEMON_INFO_EPOLL_FD)->epoll_fd;
-    uv_poll_init(worker_loop(client->worker), &port->poll, fd);
+    uv_poll_init(&client->worker->loop, &port->poll, fd);
     port->poll.data = service;
     uv_poll_start(&port->poll, UV_READABLE, on_event);
   }
-  worker_context(client->worker)->buffers = &service->host.buffers;
+  client->worker->context.buffers = &service->host.buffers;
 }
 
 static void run_turn(struct client *client) {

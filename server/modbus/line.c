@@ -278,7 +278,7 @@ static void send_up_to(struct modbus_line *line, size_t end) {
   line->sending = true;
   line->open_handles++;
   line->work.data = line;
-  uv_queue_work(worker_loop(line->client.worker), &line->work, send_by_hand, on_sent);
+  uv_queue_work(&line->client.worker->loop, &line->work, send_by_hand, on_sent);
 }
 
 /* Returns for how long the line still sends the last reply, by its speed. */
@@ -522,7 +522,7 @@ static void close_poll(struct modbus_line *line) {
 }
 
 static bool start_polling(struct modbus_line *line) {
-  uv_loop_t *loop = worker_loop(line->client.worker);
+  uv_loop_t *loop = &line->client.worker->loop;
   if (uv_poll_init(loop, &line->poll, port_fd(&line->device)) != 0) {
     close_port(&line->device);
     return false;
@@ -559,7 +559,7 @@ static void lose_device(struct modbus_line *line, const char *why) {
 static void start_client(struct client *client) {
   struct modbus_line *line = line_of(client);
   modbus_units_join(line->units);
-  uv_timer_init(worker_loop(client->worker), &line->timer);
+  uv_timer_init(&client->worker->loop, &line->timer);
   line->timer.data = line;
   line->open_handles = 1;
   if (!is_open(line)) {

@@ -163,7 +163,7 @@ static void count_reply(const struct modbus_units *units, const uint8_t *reply, 
   const bool refused = bytes > 0 && reply[0] >= 0x80;
   stats_add(&units->server->stats, refused ? STATS_MODBUS_EXCEPTIONS : STATS_MODBUS_TRANSACTIONS,
             1);
-  latency_note(worker_context(worker)->latency,
+  latency_note(worker->context.latency,
                refused      ? LATENCY_REFUSED
                : bytes == 0 ? LATENCY_EVAL_SHORT
                             : LATENCY_OTHER,

@@ -139,7 +139,7 @@ wire_error modbus_task_commit(struct modbus_task *task, struct client *master) {
       .type = job_type_of(header.type),
       .header = &header,
       .payload = task->request,
-      .context = worker_context(worker),
+      .context = &worker->context,
       .profiles = &master->profiles,
   };
   uint64_t budget = JOB_SLICE_RADII;
@@ -151,7 +151,7 @@ wire_error modbus_task_commit(struct modbus_task *task, struct client *master) {
   if (error.status != WIRE_STATUS_OK) {
     return error;
   }
-  watch_task(task, uv_now(worker_loop(worker)));
+  watch_task(task, uv_now(&worker->loop));
   task->token = registers_u16(task->registers, fields_of(task)->commit);
   clear_error(task);
   set_progress(task, 0);
@@ -212,7 +212,7 @@ bool modbus_task_finish(struct modbus_task *task) {
 }
 
 void modbus_task_expire(struct modbus_task *task, uint64_t named_ms) {
-  const uint64_t now_ms = uv_now(worker_loop(task->client->worker));
+  const uint64_t now_ms = uv_now(&task->client->worker->loop);
   /* A job that no master reads any more occupies a place that others could use. */
   if (may_stop(task) && !task->cancelled &&
       now_ms >= named_ms + task->server->options.modbus_idle_timeout_ms) {

@@ -115,7 +115,7 @@ static unsigned commit_task(struct modbus_unit *unit, struct modbus_task *task, 
   if (fits || task->evaluated) {
     unit->awaited = task;
     unit->master = client;
-    unit->reply_ms = fits ? uv_now(worker_loop(client->worker)) + MODBUS_FIT_MS : 0;
+    unit->reply_ms = fits ? uv_now(&client->worker->loop) + MODBUS_FIT_MS : 0;
   }
   if (fits) {
     worker_wake_at(client->worker, unit->reply_ms);
@@ -216,7 +216,7 @@ static void check_awaited(struct modbus_unit *unit) {
     return;
   }
   struct worker *worker = unit->units->client.worker;
-  if (!modbus_task_runs(task) || uv_now(worker_loop(worker)) >= unit->reply_ms) {
+  if (!modbus_task_runs(task) || uv_now(&worker->loop) >= unit->reply_ms) {
     end_waiting(unit);
   } else {
     worker_wake_at(worker, unit->reply_ms);
@@ -330,13 +330,13 @@ struct modbus_unit *modbus_units_get(struct modbus_units *units, unsigned number
   if (unit->units == NULL) {
     set_up_unit(units, unit);
   } else if (unit->awaited != NULL) {
-    batch_finish(&worker_context(units->client.worker)->batch, &units->server->stats);
+    batch_finish(&units->client.worker->context.batch, &units->server->stats);
     finish_unit(unit);
     if (unit->awaited != NULL) {
       end_waiting(unit);
     }
   }
-  unit->named_ms = uv_now(worker_loop(units->client.worker));
+  unit->named_ms = uv_now(&units->client.worker->loop);
   return unit;
 }
 

@@ -360,7 +360,7 @@ static void finish_turn(struct client *client) {
 
 static void start_client(struct client *client) {
   struct connection *c = connection_of(client);
-  c->requests.context = worker_context(client->worker);
+  c->requests.context = &client->worker->context;
   c->requests.profiles = &client->profiles;
   if (transport_open(&c->transport)) {
     if (is_refused(c)) {

@@ -131,7 +131,7 @@ static void join_queue(struct handshake *h) {
   TAILQ_INSERT_TAIL(&all->queues[begun], h, in_queue);
   all->counts[begun]++;
   stats_add(&all->server->stats, STATS_TLS_HANDSHAKES_OPEN, begun);
-  h->began_ms = uv_now(worker_loop(all->worker));
+  h->began_ms = uv_now(&all->worker->loop);
 }
 
 /* Begins the handshake of a client that has sent something. */
@@ -190,7 +190,7 @@ static void start_client(struct client *client) {
   struct handshakes *all = h->all;
   atomic_fetch_sub(&all->waiting, 1);
   cache_lower_priority(10);
-  if (uv_poll_init(worker_loop(client->worker), &h->poll, h->fd) != 0) {
+  if (uv_poll_init(&client->worker->loop, &h->poll, h->fd) != 0) {
     worker_forget(client);
     close(h->fd);
     free(h);

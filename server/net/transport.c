@@ -278,7 +278,7 @@ void transport_init(struct transport *t, const struct client_kind *kind,
 }
 
 bool transport_open(struct transport *t) {
-  uv_loop_t *loop = worker_loop(t->client.worker);
+  uv_loop_t *loop = &t->client.worker->loop;
   const int opened = t->tls != NULL ? uv_poll_init(loop, &t->uv.poll, t->fd) : open_plain(t, loop);
   if (opened != 0 && t->tls != NULL) {
     uv_tcp_init(loop, &t->uv.tcp); /* makes a handle that can be closed */

@@ -359,14 +359,6 @@ void worker_join(struct worker *worker) {
   uv_mutex_destroy(&worker->mutex);
 }
 
-uv_loop_t *worker_loop(struct worker *worker) {
-  return &worker->loop;
-}
-
-struct job_context *worker_context(struct worker *worker) {
-  return &worker->context;
-}
-
 uint64_t worker_round_ns(struct worker *worker) {
   if (worker->round_ns == 0) {
     worker->round_ns = uv_hrtime();

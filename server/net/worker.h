@@ -75,8 +75,6 @@ void worker_stop(struct worker *worker); /* serves all requests, ends all client
 void worker_join(struct worker *worker);
 
 /* Clients call the functions that follow, on the worker's thread only. */
-uv_loop_t *worker_loop(struct worker *worker);
-struct job_context *worker_context(struct worker *worker);
 /* Returns when this round of the loop began to read: the arrival time of all bytes of the round. */
 uint64_t worker_round_ns(struct worker *worker);
 /* Gives the client a turn: in this round of the loop, or if clients are having their turns now, in

@@ -5,7 +5,7 @@
 #include "server/scpi/session.h"
 
 static struct job_context *context_of(const struct scpi_task *task) {
-  return worker_context(task->session->client->worker);
+  return &task->session->client->worker->context;
 }
 
 /* A part that is not the last one is a report of progress: the next one takes its place. */

@@ -64,9 +64,9 @@ static void on_closed(uv_handle_t *handle) {
 static void waking_start(struct client *client) {
   struct waking *w = waking_of(client);
   assert_int_equal(uv_socketpair(SOCK_STREAM, 0, w->pair, UV_NONBLOCK_PIPE, UV_NONBLOCK_PIPE), 0);
-  uv_pipe_init(worker_loop(client->worker), &w->pipe, 0);
+  uv_pipe_init(&client->worker->loop, &w->pipe, 0);
   assert_int_equal(uv_pipe_open(&w->pipe, w->pair[0]), 0);
-  uv_timer_init(worker_loop(client->worker), &w->timer);
+  uv_timer_init(&client->worker->loop, &w->timer);
   w->write.data = w->timer.data = w->closing.data = client;
   worker_run_later(client);
 }
@@ -87,7 +87,7 @@ static void waking_run(struct client *client) {
   } else if (w->turns % 3 == 1) {
     uv_timer_start(&w->timer, on_time, 0, 0);
   } else {
-    uv_timer_init(worker_loop(client->worker), &w->closing);
+    uv_timer_init(&client->worker->loop, &w->closing);
     uv_close((uv_handle_t *)&w->closing, on_closed);
   }
 }
