@@ -1,6 +1,6 @@
 /* The transfer function R(f), the Hankel transform of R(r): that of a beam has no step, that of
  * transport is an integral by other means. truth.c compares those of all other models with their
- * forms, and its filter with them; test_kernels.c has slices. */
+ * forms, and its filter with them. */
 #include <math.h>
 
 #include "core/kernels.h"

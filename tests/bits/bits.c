@@ -1,7 +1,10 @@
 /* bits [ISA]: evaluates a fixed, broad set of requests and prints a checksum of the bits of every
  * group of answers. Two machines, compilers or instruction sets that print the same gave the same
- * bits; tests/run-bits.sh compares them.
+ * bits; tests/run-bits.sh compares them. Each kernel also evaluates its values again in slices of any
+ * length, at any alignment and in any lane, whatever stands beside: the program fails if one has
+ * another bit.
  */
+#include <float.h>
 #include <inttypes.h>
 #include <math.h>
 #include <stdio.h>
@@ -17,7 +20,7 @@
 #include "core/varying.h"
 #include "tests/accuracy/inversion.h"
 
-enum { MEDIA = 61, RADII = 257 };
+enum { MEDIA = 25, RADII = 257 };
 
 /* Exit status where this machine lacks the instructions. */
 enum { NOT_HERE = 77 };
@@ -48,56 +51,132 @@ static double spread(uint64_t *state, int least_exponent, int most_exponent) {
   return value;
 }
 
+/* One medium in four is at the ends of the domain. */
 static core_medium random_medium(uint64_t *state) {
+  const bool is_extreme = core_splitmix(state) % 4 == 0;
+  const int most = is_extreme ? 46 : 20;
   core_medium medium = {.thickness_mm = 0};
-  medium.sigma_s_per_mm = spread(state, -20, 20);
-  medium.sigma_a_per_mm = core_splitmix(state) % 8 == 0 ? 0 : spread(state, -30, 20);
-  medium.g = 1.9 * core_splitmix_f64(state) - 0.95;
-  medium.eta = 0.5 + 1.6 * core_splitmix_f64(state);
+  medium.sigma_s_per_mm = core_splitmix(state) % 16 == 0 ? 0 : spread(state, -most, most);
+  medium.sigma_a_per_mm = core_splitmix(state) % 8 == 0 ? 0 : spread(state, -30, most);
+  medium.g = is_extreme ? 1 - spread(state, -30, -1) : 1.9 * core_splitmix_f64(state) - 0.95;
+  medium.eta = is_extreme ? spread(state, -1, 8) : 0.5 + 1.6 * core_splitmix_f64(state);
   return medium;
 }
 
-/* Returns the number of radii at which a quantity of a profile is evaluated; 0: it is sampled. */
-static int radii_of(const core_profile *profile, unsigned quantity) {
-  const double cost = core_radius_cost(profile, quantity);
-  return cost > COSTLY ? COSTLY_RADII : RADII;
+/* ---- values of a profile -------------------------------------------------------------------- */
+
+static size_t bytes_of(const core_profile *profile, size_t n) {
+  return n * (profile->evaluator == CORE_EVALUATOR_F64 ? sizeof(double) : sizeof(float));
 }
 
-static uint64_t add_quantity(uint64_t sum, const core_profile *profile, unsigned quantity,
-                             uint64_t *state) {
-  const int radii = radii_of(profile, quantity);
-  double r[RADII];
-  double out[RADII];
-  float r32[RADII];
-  float out32[RADII];
-  for (int i = 0; i < radii; i++) {
-    r[i] = i == 0 ? 0 : spread(state, -40, 30);
-    r32[i] = (float)r[i];
-  }
-  if (profile->evaluator != CORE_EVALUATOR_F64) {
-    core_eval_f32(profile, quantity, (size_t)radii, r32, out32);
-    return checksum(sum, out32, (size_t)radii * sizeof *out32);
-  }
-  core_eval_f64(profile, quantity, (size_t)radii, r, out);
-  return checksum(sum, out, (size_t)radii * sizeof *out);
+static void put(const core_profile *profile, uint8_t *values, size_t i, double value) {
+  const float narrow = (float)value;
+  const bool f64 = profile->evaluator == CORE_EVALUATOR_F64;
+  memcpy(values + bytes_of(profile, i), f64 ? (const void *)&value : &narrow, bytes_of(profile, 1));
 }
 
-static uint64_t add_samples(uint64_t sum, const core_profile *profile, uint64_t *state) {
-  const int radii = radii_of(profile, 0);
-  double u[RADII];
-  double r[RADII];
-  float u32[RADII];
-  float r32[RADII];
-  for (int i = 0; i < radii; i++) {
-    u[i] = core_splitmix_f64(state);
-    u32[i] = (float)u[i];
+/* Evaluates a quantity at n radii, or draws n radii (quantity 0). */
+static void evaluate(const core_profile *profile, unsigned quantity, size_t n, const void *in,
+                     void *out) {
+  const bool f64 = profile->evaluator == CORE_EVALUATOR_F64;
+  if (quantity == 0 && f64) {
+    core_sample_f64(profile, n, in, out);
+  } else if (quantity == 0) {
+    core_sample_f32(profile, n, in, out);
+  } else if (f64) {
+    core_eval_f64(profile, quantity, n, in, out);
+  } else {
+    core_eval_f32(profile, quantity, n, in, out);
   }
-  if (profile->evaluator != CORE_EVALUATOR_F64) {
-    core_sample_f32(profile, (size_t)radii, u32, r32);
-    return checksum(sum, r32, (size_t)radii * sizeof *r32);
+}
+
+/* Returns a radius, or a random number (quantity 0): one in eight at the ends of the formats. */
+static double random_input(unsigned quantity, uint64_t *state) {
+  static const double radii[] = {0,     -0.0, 5e-324, 2.3e-308, 1e-300, 1e-45,   1.2e-38,  1e-154,
+                                 1e-30, 1e15, 1e19,   3e38,     1e150,  DBL_MAX, INFINITY, 1e-7};
+  static const double shares[] = {0,           -0.0,  5e-324, 1e-300, 1e-45,     1.2e-38,
+                                  1e-30,       1e-13, 1e-12,  .5,     1 - 1e-7f, 1 - 1e-12,
+                                  FLT_EPSILON, 1,     .9999,  .999};
+  const uint64_t which = core_splitmix(state) % (8 * 16);
+  return which < 16      ? (quantity == 0 ? shares : radii)[which]
+         : quantity == 0 ? core_splitmix_f64(state)
+                         : spread(state, -40, 30);
+}
+
+enum {
+  SLICE = 67,   /* four of the widest vectors and a remainder */
+  OFFSETS = 16, /* all misalignments of the widest vector */
+  ROOM = 2 * OFFSETS + 2 * SLICE,
+  GUARD = 0xa5
+};
+
+/* Evaluates the values in slices, half of which have garbage in every second lane. */
+static void check_slices(const core_profile *profile, unsigned quantity, size_t n,
+                         const uint8_t *in, const uint8_t *out, uint64_t *state) {
+  static const double garbage[] = {NAN, -NAN, INFINITY, -INFINITY, -1, -DBL_MAX, 5e-324, 1e-40};
+  const size_t bytes = bytes_of(profile, 1);
+  for (size_t first = 0, length; first < n; first += length) {
+    const size_t step = 1 + core_splitmix(state) % 2, lane = core_splitmix(state) % step;
+    const size_t from = core_splitmix(state) % OFFSETS, to = core_splitmix(state) % OFFSETS;
+    _Alignas(64) uint8_t input[ROOM * sizeof(double)], output[ROOM * sizeof(double)];
+    uint8_t before[sizeof input];
+    length = core_splitmix(state) % (SLICE + 1);
+    length = length < n - first ? length : n - first;
+    for (size_t i = 0; i < ROOM; i++) {
+      put(profile, input, i, garbage[core_splitmix(state) % 8]);
+    }
+    for (size_t i = 0; i < length; i++) {
+      memcpy(input + (from + lane + i * step) * bytes, in + (first + i) * bytes, bytes);
+    }
+    memcpy(before, input, ROOM * bytes);
+    memset(output, GUARD, sizeof output);
+    evaluate(profile, quantity, length * step, input + from * bytes, output + to * bytes);
+    bool good = memcmp(input, before, ROOM * bytes) == 0;
+    for (size_t i = 0; i < length; i++) {
+      good = good &&
+             memcmp(output + (to + lane + i * step) * bytes, out + (first + i) * bytes, bytes) == 0;
+    }
+    for (size_t i = 0; i < sizeof output; i++) {
+      good = good && (output[i] == GUARD || (i >= to * bytes && i < (to + length * step) * bytes));
+    }
+    if (!good) {
+      fprintf(stderr, "bits: model %u, evaluator %u, quantity %u: other bits in a slice of %zu\n",
+              profile->model, profile->evaluator, quantity, length);
+      exit(EXIT_FAILURE);
+    }
   }
-  core_sample_f64(profile, (size_t)radii, u, r);
-  return checksum(sum, r, (size_t)radii * sizeof *r);
+}
+
+/* Adds the values of a quantity, or radii that are drawn (quantity 0). */
+static uint64_t add_values(uint64_t sum, const core_profile *profile, unsigned quantity,
+                           uint64_t *state) {
+  const bool transforms = quantity != 0 && core_call_cost(profile, quantity) > 0;
+  const bool costly = transforms || core_radius_cost(profile, quantity) > COSTLY;
+  const size_t n = costly ? COSTLY_RADII : RADII;
+  _Alignas(64) uint8_t in[RADII * sizeof(double)], out[RADII * sizeof(double)];
+  for (size_t i = 0; i < n; i++) {
+    put(profile, in, i, random_input(quantity, state));
+  }
+  evaluate(profile, quantity, n, in, out);
+  if (!transforms) { /* which have no lanes */
+    check_slices(profile, quantity, n, in, out, state);
+  }
+  return checksum(sum, out, bytes_of(profile, n));
+}
+
+static uint64_t add_preparation(uint64_t sum, const core_profile *profile) {
+  sum = checksum(sum, &profile->albedo, sizeof profile->albedo);
+  sum = checksum(sum, &profile->numerical_error, sizeof profile->numerical_error);
+  sum = checksum(sum, profile->numerical_errors, sizeof profile->numerical_errors);
+  return checksum(sum, profile->lut, profile->lut_count * sizeof *profile->lut);
+}
+
+/* ---- models --------------------------------------------------------------------------------- */
+
+/* Those of slow models take as long again to prepare: print_transport_with_g() has them. */
+static bool has_derivatives(const core_choice *model) {
+  return core_has_derivatives(model->id) &&
+         !core_prepares_slowly(model->id, CORE_EVALUATOR_F64, NULL, NULL);
 }
 
 /* Returns for how many media a model is evaluated: fewer if it is slow. */
@@ -111,7 +190,7 @@ static int media_of(const core_choice *model, const core_choice *evaluator) {
  * the domain of the model. */
 static core_fault prepare(core_profile *profile, const core_isa *isa, const core_choice *model,
                           const core_choice *evaluator, const core_choice *moments,
-                          const core_medium *medium, bool derivatives) {
+                          const core_medium *medium) {
   core_parameters parameters = core_parameters_none();
   core_medium needed = *medium;
   const double sigma_t_prime = medium->sigma_a_per_mm + medium->sigma_s_per_mm * (1 - medium->g);
@@ -120,37 +199,54 @@ static core_fault prepare(core_profile *profile, const core_isa *isa, const core
   if (needs.field != NULL && strcmp(needs.field, "thickness") == 0) {
     needed.thickness_mm = 3 / sigma_t_prime;
   }
-  parameters.value[CORE_PARAMETER_DERIVATIVES] = derivatives ? 1 : (double)NAN;
+  parameters.value[CORE_PARAMETER_DERIVATIVES] = has_derivatives(model) ? 1 : (double)NAN;
   return core_profile_prepare(profile, isa, model->id, moments->id, evaluator->id, &needed,
                               &parameters);
 }
 
-/* Prints the checksum of all media for one model, evaluator and kind of moments. quantity: NULL for
- * samples. */
+/* Returns whether a quantity of a model is compared. Model errors and what frequencies give are
+ * computed from several profiles, and have no kernels. */
+static bool is_compared(const core_choice *model, const core_choice *evaluator, unsigned quantity) {
+  return core_quantity_elementwise(quantity) &&
+         (quantity & (CORE_QUANTITY_MODEL_ERRORS | CORE_PATHS | CORE_MODULATED)) == 0 &&
+         (!core_wants_derivatives(quantity) || has_derivatives(model)) &&
+         (evaluator->id != CORE_EVALUATOR_LUT || core_table_has(quantity));
+}
+
+/* Prints a checksum of all media for each quantity, and for samples, of one model, evaluator and
+ * kind of moments. */
 static void print_group(const core_isa *isa, const core_choice *model, const core_choice *evaluator,
-                        const core_choice *moments, const core_choice *quantity) {
-  uint64_t state = 2012;
-  uint64_t sum = CHECKSUM_START;
+                        const core_choice *moments) {
+  enum { QUANTITIES = 64 };
+  uint64_t state = 2012, sums[QUANTITIES], samples = CHECKSUM_START;
   int media = media_of(model, evaluator);
+  for (size_t q = 0; q < QUANTITIES; q++) {
+    sums[q] = CHECKSUM_START;
+  }
   for (int i = 0; i < media; i++) {
     const core_medium medium = random_medium(&state);
     core_profile profile;
-    const bool derivatives = quantity != NULL && core_wants_derivatives(quantity->id);
-    const core_fault fault =
-        prepare(&profile, isa, model, evaluator, moments, &medium, derivatives);
+    const core_fault fault = prepare(&profile, isa, model, evaluator, moments, &medium);
     if (fault.field != NULL) {
-      sum = checksum(sum, fault.field, strlen(fault.field));
+      samples = checksum(samples, fault.field, strlen(fault.field));
       continue;
     }
     media = profile.cost > COSTLY && media > COSTLY_MEDIA ? COSTLY_MEDIA : media;
-    sum = checksum(sum, &profile.albedo, sizeof profile.albedo);
-    sum = checksum(sum, profile.lut, profile.lut_count * sizeof *profile.lut);
-    sum = quantity != NULL ? add_quantity(sum, &profile, quantity->id, &state)
-                           : add_samples(sum, &profile, &state);
+    for (size_t q = 0; core_quantities[q].name != NULL; q++) {
+      if (is_compared(model, evaluator, core_quantities[q].id)) {
+        sums[q] = add_values(sums[q], &profile, core_quantities[q].id, &state);
+      }
+    }
+    samples = add_values(add_preparation(samples, &profile), &profile, 0, &state);
     core_profile_free(&profile);
   }
-  printf("%s %s %s %s %016" PRIx64 "\n", model->name, evaluator->name, moments->name,
-         quantity != NULL ? quantity->name : "sample", sum);
+  for (size_t q = 0; core_quantities[q].name != NULL; q++) {
+    if (is_compared(model, evaluator, core_quantities[q].id)) {
+      printf("%s %s %s %s %016" PRIx64 "\n", model->name, evaluator->name, moments->name,
+             core_quantities[q].name, sums[q]);
+    }
+  }
+  printf("%s %s %s sample %016" PRIx64 "\n", model->name, evaluator->name, moments->name, samples);
 }
 
 static void print_grids(void) {
@@ -186,29 +282,6 @@ static bool is_tabulated(const core_choice *model) {
          model->id == CORE_MODEL_SKIN_RED;
 }
 
-/* Returns whether a combination is compared. Slow models take minutes under an emulator, so they
- * are prepared only twice: for R and for the cdf. */
-static bool is_due(const core_choice *model, const core_choice *evaluator,
-                   const core_choice *quantity) {
-  if (quantity != NULL && core_wants_derivatives(quantity->id) &&
-      !core_has_derivatives(model->id)) {
-    return false;
-  }
-  const bool needed =
-      quantity != NULL && (quantity->id == CORE_QUANTITY_R || quantity->id == CORE_QUANTITY_CDF);
-  if (evaluator->id == CORE_EVALUATOR_LUT) {
-    return is_tabulated(model) && (quantity == NULL || needed || quantity->id == CORE_QUANTITY_PDF);
-  }
-  return !core_prepares_slowly(model->id, CORE_EVALUATOR_F64, NULL, NULL) ||
-         (evaluator->id == CORE_EVALUATOR_F64 && needed);
-}
-
-/* Whether core_eval_f64() has a quantity: model errors are computed from two profiles. */
-static bool is_evaluated(unsigned quantity) {
-  return core_quantity_elementwise(quantity) &&
-         (quantity & (CORE_QUANTITY_MODEL_ERRORS | CORE_PATHS | CORE_MODULATED)) == 0;
-}
-
 /* Prints a checksum for each evaluator of transport with tissue's g, from the table of
  * solutions. */
 static void print_transport_with_g(const core_isa *isa) {
@@ -225,15 +298,13 @@ static void print_transport_with_g(const core_isa *isa) {
               .field != NULL) {
         continue;
       }
-      sum = checksum(sum, &profile.albedo, sizeof profile.albedo);
-      sum = checksum(sum, profile.numerical_errors, sizeof profile.numerical_errors);
-      sum = checksum(sum, profile.lut, profile.lut_count * sizeof *profile.lut);
+      sum = add_preparation(sum, &profile);
       for (const core_choice *quantity = core_quantities; quantity->name != NULL; quantity++) {
         if (core_quantity_elementwise(quantity->id) && quantity->id != CORE_QUANTITY_MODEL_ERRORS) {
-          sum = add_quantity(sum, &profile, quantity->id, &state);
+          sum = add_values(sum, &profile, quantity->id, &state);
         }
       }
-      sum = add_samples(sum, &profile, &state);
+      sum = add_values(sum, &profile, 0, &state);
       core_profile_free(&profile);
     }
     printf("transport with g %s %016" PRIx64 "\n", evaluator->name, sum);
@@ -432,16 +503,9 @@ int main(int argc, char **argv) {
     for (const core_choice *evaluator = core_evaluators; evaluator->name != NULL; evaluator++) {
       for (const core_choice *moments = core_moments_list; moments->name != NULL; moments++) {
         const bool one_kind = !all_moments || evaluator->id == CORE_EVALUATOR_LUT;
-        if (one_kind && moments->id != CORE_MOMENTS_EXACT) {
-          continue;
-        }
-        for (const core_choice *quantity = core_quantities; quantity->name != NULL; quantity++) {
-          if (is_evaluated(quantity->id) && is_due(model, evaluator, quantity)) {
-            print_group(isa, model, evaluator, moments, quantity);
-          }
-        }
-        if (is_due(model, evaluator, NULL)) {
-          print_group(isa, model, evaluator, moments, NULL);
+        const bool is_due = evaluator->id != CORE_EVALUATOR_LUT || is_tabulated(model);
+        if (is_due && (!one_kind || moments->id == CORE_MOMENTS_EXACT)) {
+          print_group(isa, model, evaluator, moments);
         }
       }
     }
