@@ -4,7 +4,7 @@ BENCH := $(call objects,$(wildcard tests/bench/*.c))
 # The longest ones come first, so that no processor waits for them at the end.
 TESTS := $(addprefix $(BUILD)/tests/,accuracy/test_transport_g accuracy/test_anisotropic unit/test_kernels accuracy/test_montecarlo accuracy/test_models)
 TESTS += $(filter-out $(TESTS),$(patsubst tests/%.c,$(BUILD)/tests/%,$(wildcard tests/accuracy/test_*.c tests/unit/test_*.c)))
-TEST_SUPPORT := $(call objects,$(filter-out $(wildcard tests/*/test_*.c) $(wildcard tests/accuracy/rings.c tests/accuracy/walks.c tests/accuracy/truth.c tests/bench/*.c tests/bits/*.c tests/e2e/*.c tests/fuzz/*.c tests/soak/*.c),$(wildcard tests/*/*.c))) $(ISOTROPIC)
+TEST_SUPPORT := $(call objects,$(filter-out $(wildcard tests/*/test_*.c) $(wildcard tests/accuracy/rings.c tests/accuracy/truth.c tests/bench/*.c tests/bits/*.c tests/e2e/*.c tests/fuzz/*.c tests/soak/*.c),$(wildcard tests/*/*.c))) $(ISOTROPIC)
 
 # ---- programs ------------------------------------------------------------------------------------
 
@@ -37,7 +37,7 @@ $(OBJ)/tests/e2e/count_allocations.o: EXTRA_CPPFLAGS = $(call cflags,libuv)
 
 $(BUILD)/tests/accuracy/truth: $(call objects,$(addprefix tests/accuracy/,truth.c forms.c reference_fresnel.c)) $(ISOTROPIC) $(BUILD)/libcore.a
 $(BUILD)/tests/accuracy/truth: LIBS = -lmpfr -lgmp $(CORE_LIBS)
-$(BUILD)/tests/accuracy/rings: $(call objects,tests/accuracy/rings.c tests/accuracy/walks.c) $(TOOLS) $(BUILD)/libcore.a
+$(BUILD)/tests/accuracy/rings: $(OBJ)/tests/accuracy/rings.o $(TOOLS) $(BUILD)/libcore.a
 $(BUILD)/tests/bits: $(OBJ)/tests/bits/bits.o $(BUILD)/libcore.a
 $(BUILD)/tests/accuracy/rings $(BUILD)/tests/bits: LIBS = $(CORE_LIBS)
 

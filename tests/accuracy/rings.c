@@ -1,9 +1,4 @@
-/* rings MILLIONS
- * rings media SEED COUNT [FIRST]
- * rings walked MILLIONS [MEDIUM]
- * rings stacks SEED COUNT [FIRST]
- *
- * The first form compares Monte Carlo with the solver for any phase function, ring by ring, with at
+/* rings MILLIONS: compares Monte Carlo with the solver for any phase function, ring by ring, with at
  * least MILLIONS of photons for each g and for each mixture of two functions. It exits with
  * EXIT_FAILURE if any ring or total is off by 4.5 standard errors or more, or if chi-squared per
  * ring is not between 0.8 and 1.2 for a g, or for all. `make rings` walks 100 millions each, `make
@@ -14,29 +9,14 @@
  * could add to chi-squared if all of it were there, the mean of its square in standard errors, is
  * printed beside it.
  *
- * `media` solves COUNT media, from number FIRST of a seed on, that the table of solutions does not
- * cover, with the tolerance 1e-3 and on a grid two levels finer (at most the finest), and prints a
- * line of CSV for each: found is the largest relative difference of R from 0.01 to 30 mean free
- * paths, and share the largest difference over what is stated at its radius, which is `at`.
- *
- * `walked` walks at least MILLIONS of photons for each of ten such media, or for MEDIUM (0 to 9) of
- * them, and prints a line of CSV for each ring, with what the solver (tolerance 1e-3) has and
- * states; beyond is by how many standard errors Monte Carlo is off by more than what is stated.
- *
- * `stacks` solves COUNT random stacks of 1 to 5 layers with the tolerances 1e-2 and 1e-3 and on the
- * finest grid, and prints a line of CSV for R and one for T of each: the largest relative error that
- * is stated from 0.05 to 30 reduced mean free paths of the first layer, where R is above 1e-9 of its
- * largest, and share, the largest difference from that grid over what is stated. */
+ * Lengths are in reduced mean free paths. Rings are logarithmic, from 10^-2.05 to 10^1.35. */
 #include <math.h>
 #include <stdlib.h>
-#include <string.h>
-#include <time.h>
 
-#include "core/kernels.h"
-#include "core/splitmix.h"
+#include "core/montecarlo/montecarlo.h"
+#include "core/solver/solver.h"
 #include "core/tools/tools.h"
-#include "core/transport/table.h"
-#include "tests/accuracy/walks.h"
+#include "core/transport/gauss.h"
 
 #define SIGMAS_MOST 4.5
 /* The standard errors of rings with few photons are known too badly. */
@@ -82,15 +62,112 @@ struct run {
   } found[RUNS];
 };
 
+/* ---- walks ------------------------------------------------------------------------------------ */
+
+/* What is walked. */
+typedef struct walks_medium {
+  double ratio, g, eta; /* ratio: sigma_a / (sigma_s (1 - g)) */
+  unsigned phase;       /* enum core_phase and its parameters, as in core_mc_request */
+  double phase_share, phase_g;
+} walks_medium;
+
+typedef struct walks_result {
+  core_mc_value total; /* light that left, per power that entered */
+  core_mc_ring rings[RINGS];
+} walks_result;
+
+static const core_grid edges = {CORE_SPACING_LOGARITHMIC, RINGS + 1, 0.0089125093813374545,
+                                22.387211385683397};
+
+/* A reduced mean free path is 1 mm. */
+static core_mc_request request_of(const walks_medium *of, uint64_t seed) {
+  const core_medium medium = {of->ratio / (1 + of->ratio), 1 / ((1 + of->ratio) * (1 - of->g)),
+                              of->g, of->eta};
+  core_mc_request request = {.thickness_mm = (double)INFINITY,
+                             .edges = edges,
+                             .seed = seed,
+                             .phase = of->phase,
+                             .phase_share = of->phase_share,
+                             .phase_g = of->phase_g};
+  core_mc_request_medium(&request, &medium, 1);
+  return request;
+}
+
+/* Walks photons, a multiple of CORE_MC_BATCH_PHOTONS, through a half space. */
+static void walks_run(walks_result *result, const walks_medium *medium, uint64_t photons,
+                      uint64_t seed) {
+  const core_mc_request request = request_of(medium, seed);
+  tools_check(core_mc_check(&request), "Monte Carlo");
+  core_mc_plan *plan = core_mc_plan_create(&request);
+  core_mc_total *total = plan != NULL ? core_mc_total_create(plan) : NULL;
+  core_mc_batch *batch = plan != NULL ? core_mc_batch_create(plan) : NULL;
+  if (total == NULL || batch == NULL) {
+    tools_fail("out of memory");
+  }
+  const core_isa *isa = core_isa_select(NULL);
+  for (uint64_t index = 0; index < photons / CORE_MC_BATCH_PHOTONS; index++) {
+    core_mc_batch_start(batch, index);
+    while (!core_mc_batch_walk(batch, isa, UINT64_MAX)) {
+    }
+    core_mc_total_merge(total, batch);
+  }
+  core_mc_energy energy;
+  core_mc_total_energy(total, 0, &energy);
+  result->total = energy.left[CORE_MC_REFLECTED];
+  core_mc_total_rings(total, 0, CORE_MC_REFLECTED, result->rings);
+  core_mc_batch_free(batch);
+  core_mc_total_free(total);
+  core_mc_plan_free(plan);
+}
+
+/* Returns the solver's mean of R over a ring, by quadrature in r^2, and the mean of its errors. */
+static transport_number walks_mean(const solver_solution *solution, size_t ring) {
+  enum { NODES = 4 };
+  double edge[2];
+  transport_number mean = {0, 0};
+  gauss_rule rule;
+  core_grid_radii_f64(&edges, ring, 2, edge);
+  transport_gauss(&rule, NODES);
+  const double from = edge[0] * edge[0], to = edge[1] * edge[1];
+  for (size_t i = 0; i < rule.n; i++) {
+    const transport_number R = solver_at(solution, 0, sqrt(from + (to - from) * rule.x[i]));
+    mean.value += rule.weight[i] * R.value;
+    mean.error += rule.weight[i] * R.error;
+  }
+  return mean;
+}
+
+/* Sets *phase to the medium's phase function. The moments of a mixture go to moment[SOLVER_MOMENTS_MAX]:
+ * those of 3 cos^2 / (4 pi) are 1, 0, 2/5, 0, ... Those that are left out are below 1e-12. */
+static void walks_phase(const walks_medium *medium, double *moment, solver_phase *phase) {
+  const core_mc_request request = request_of(medium, 0);
+  const bool modified = medium->phase == CORE_PHASE_MODIFIED;
+  const double share = medium->phase_share, first = core_mc_first_g(&request);
+  double one = 1, other = 1;
+  *phase = (solver_phase){medium->g, 0, moment};
+  if (!modified && medium->phase != CORE_PHASE_TWO_TERM) {
+    return;
+  }
+  while (phase->moments < SOLVER_MOMENTS_MAX &&
+         (phase->moments < 3 || fabs(one) + fabs(other) > 1e-12)) {
+    const size_t l = phase->moments++;
+    const double second = !modified ? other : l == 0 ? 1 : l == 2 ? 0.4 : 0;
+    moment[l] = l == 0 ? 1 : share * one + (1 - share) * second;
+    one *= first;
+    other *= modified ? 0 : medium->phase_g;
+  }
+}
+
+/* ---- comparing -------------------------------------------------------------------------------- */
+
 static void compare(struct found *to, const walks_result *walked, const solver_solution *solution,
                     transport_number total) {
-  for (size_t i = 0; i < walked->count; i++) {
+  for (size_t i = 0; i < RINGS; i++) {
     const core_mc_ring *ring = &walked->rings[i];
-    double error;
-    const double R = walks_mean(solution, 0, walked->count, i, &error);
+    const transport_number R = walks_mean(solution, i);
     if (ring->photons >= PHOTONS_LEAST) {
-      const double off = fabs(ring->R_per_mm2 - R) / ring->error_per_mm2;
-      const double bound = error / ring->error_per_mm2;
+      const double off = fabs(ring->R_per_mm2 - R.value) / ring->error_per_mm2;
+      const double bound = R.error / ring->error_per_mm2;
       to->chi_squared += off * off;
       to->bound_squared += bound * bound;
       to->worst = fmax(to->worst, off);
@@ -116,7 +193,7 @@ static void run_one(void *context, size_t i) {
               "the solver");
   tools_check(solver_totals(&totals, core_isa_select(NULL), medium.ratio, &phase, &medium.eta, 1),
               "the solver");
-  walks_run(&walked, &medium, RINGS, run->photons, SEED + i);
+  walks_run(&walked, &medium, run->photons, SEED + i);
   compare(&run->found[i], &walked, solution, totals.normal);
   solver_free(solution);
   tools_progress_add(&run->progress, 1);
@@ -139,271 +216,10 @@ static bool judge(const char *name, const struct found *sum) {
   return good;
 }
 
-/* ---- media that the table does not cover ------------------------------------------------------ */
-
-#define TOLERANCE 1e-3
-enum { FINER = 2 }; /* levels */
-
-static double between(uint64_t *state, double low, double high) {
-  return low + (high - low) * core_splitmix_f64(state);
-}
-
-/* A tenth of the media absorb nothing. */
-static walks_medium draw_medium(uint64_t *state) {
-  for (;;) {
-    const bool white = core_splitmix_f64(state) < 0.1;
-    const double ratio = exp(between(state, log(1e-5), log(1000)));
-    const double far = between(state, 0.85, 0.99), any = between(state, -0.95, 0.99);
-    const double g = core_splitmix_f64(state) < 0.4 ? far : any;
-    const walks_medium drawn = {
-        .ratio = white ? 0 : ratio, .g = g, .eta = exp(between(state, log(0.3), log(3.9)))};
-    const core_medium medium = {drawn.ratio, 1 / (1 - drawn.g), drawn.g, drawn.eta};
-    if (!core_transport_is_stored(&medium)) {
-      return drawn;
-    }
-  }
-}
-
-static double seconds_now(void) {
-  struct timespec now;
-  clock_gettime(CLOCK_PROCESS_CPUTIME_ID, &now);
-  return (double)now.tv_sec + 1e-9 * (double)now.tv_nsec;
-}
-
-static bool check_medium(const walks_medium *medium) {
-  const core_isa *isa = core_isa_select(NULL);
-  const solver_phase phase = {.g = medium->g};
-  solver_solution *solution, *finer;
-  const double start = seconds_now();
-  tools_check(solver_solve(&solution, isa, medium->ratio, &phase, &medium->eta, 1, TOLERANCE),
-              "the solver");
-  const double solved = seconds_now();
-  const size_t level = solver_level(solution);
-  const size_t fine = level + FINER < SOLVER_LEVELS ? level + FINER : SOLVER_LEVELS - 1;
-  tools_check(
-      solver_solve_level(&finer, isa, medium->ratio, &phase, &medium->eta, 1, fine, NULL, false),
-      "the solver");
-  double stated = 0, found = 0, share = 0, at = 0;
-  for (double r = 0.01; r < 30; r *= 1.25) {
-    const double truth = solver_at(finer, 0, r).value;
-    const transport_number R = solver_at(solution, 0, r);
-    if (truth < TRANSPORT_TABLE_R_LEAST) {
-      break;
-    }
-    const double off = fabs(R.value - truth);
-    stated = fmax(stated, R.error / truth);
-    found = fmax(found, off / truth);
-    if (!(off <= share * R.error)) {
-      share = off / R.error;
-      at = r;
-    }
-  }
-  printf("%.9g,%.9g,%.9g,%zu,%zu,%.3g,%.3g,%.3g,%.3g,%.3g,%.3g\n", medium->ratio, medium->g,
-         medium->eta, level, fine, stated, found, share, at, solved - start,
-         seconds_now() - solved);
-  fflush(stdout);
-  solver_free(solution);
-  solver_free(finer);
-  return share <= 1;
-}
-
-static bool check_media(uint64_t seed, size_t count, size_t first) {
-  uint64_t state = seed;
-  bool good = true;
-  printf("ratio,g,eta,level,finer,stated,found,share,at,seconds,finer_seconds\n");
-  for (size_t i = 0; i < first + count; i++) {
-    const walks_medium medium = draw_medium(&state);
-    good = (i < first || check_medium(&medium)) && good;
-  }
-  return good;
-}
-
-/* ---- such media, walked ------------------------------------------------------------------------- */
-
-enum { WALKED = 10, PARTS = 16 }; /* each medium is walked in so many parts */
-
-static const walks_medium walked_media[WALKED] = {
-    {.ratio = 0.1, .g = 0.99, .eta = 1.4},  {.ratio = 0.03, .g = 0.97, .eta = 1.4},
-    {.ratio = 20, .g = 0.98, .eta = 2},     {.ratio = 0.5, .g = 0.96, .eta = 3.5},
-    {.ratio = 0.3, .g = 0.9, .eta = 3.9},   {.ratio = 3, .g = 0.8, .eta = 0.4},
-    {.ratio = 0.001, .g = 0.5, .eta = 2.5}, {.ratio = 0.1, .g = 0, .eta = 0.3},
-    {.ratio = 0.2, .g = -0.6, .eta = 1.33}, {.ratio = 0.05, .g = -0.95, .eta = 0.6},
-};
-
-struct walked {
-  uint64_t photons;    /* of each part */
-  size_t first, count; /* media */
-  tools_progress progress;
-  walks_result results[WALKED][PARTS];
-  solver_solution *solutions[WALKED];
-};
-
-/* Solves the media, then walks their parts. */
-static void walk_one(void *context, size_t i) {
-  struct walked *run = context;
-  const size_t number = run->first + i % run->count;
-  const walks_medium *medium = &walked_media[number];
-  if (i < run->count) {
-    const solver_phase phase = {.g = medium->g};
-    tools_check(solver_solve(&run->solutions[number], core_isa_select(NULL), medium->ratio, &phase,
-                             &medium->eta, 1, TOLERANCE),
-                "the solver");
-  } else {
-    const size_t part = i / run->count - 1;
-    walks_run(&run->results[number][part], medium, WALKS_TENTHS, run->photons,
-              SEED + WALKED * (part + 1) + number);
-  }
-  tools_progress_add(&run->progress, 1);
-}
-
-/* Prints the rings of a medium, and returns by how many standard errors one is beyond at most. */
-static double print_walked(const struct walked *run, size_t i) {
-  const walks_medium *medium = &walked_media[i];
-  double worst = 0;
-  for (size_t ring = 0; ring < WALKS_TENTHS; ring++) {
-    double walked = 0, squares = 0, stated;
-    uint64_t photons = 0;
-    const core_mc_ring *edges = &run->results[i][0].rings[ring];
-    for (size_t part = 0; part < PARTS; part++) {
-      const core_mc_ring *of = &run->results[i][part].rings[ring];
-      walked += of->R_per_mm2 / PARTS;
-      squares += of->error_per_mm2 * of->error_per_mm2 / (PARTS * PARTS);
-      photons += of->photons;
-    }
-    const double R = walks_mean(run->solutions[i], 0, WALKS_TENTHS, ring, &stated);
-    const double error = sqrt(squares), beyond = (fabs(walked - R) - stated) / error;
-    worst = photons >= PHOTONS_LEAST ? fmax(worst, beyond) : worst;
-    printf("%g,%g,%g,%.6g,%.6g,%.7g,%.2g,%.7g,%.2g,%llu,%.2f\n", medium->ratio, medium->g,
-           medium->eta, edges->from_mm, edges->to_mm, walked, error, R, stated,
-           (unsigned long long)photons, beyond);
-  }
-  return worst;
-}
-
-static bool check_walked(double millions, size_t first, size_t count) {
-  static struct walked run;
-  run.first = first;
-  run.count = count;
-  run.photons =
-      ((uint64_t)(millions * 1e6 / PARTS) / CORE_MC_BATCH_PHOTONS + 1) * CORE_MC_BATCH_PHOTONS;
-  tools_progress_start(&run.progress, count * (1 + PARTS));
-  tools_each(tools_processors(), count * (1 + PARTS), walk_one, &run);
-  tools_progress_end(&run.progress);
-  printf("ratio,g,eta,from,to,walked,sigma,solved,stated,photons,beyond\n");
-  double worst = 0;
-  for (size_t i = first; i < first + count; i++) {
-    worst = fmax(worst, print_walked(&run, i));
-    solver_free(run.solutions[i]);
-  }
-  return worst < SIGMAS_MOST;
-}
-
-/* ---- stacks of layers ------------------------------------------------------------------------- */
-
-enum { STACK_LAYERS = 5, FINEST_LEVEL = 4 };
-
-static size_t draw_stack(uint64_t *state, solver_layer layer[STACK_LAYERS], double *eta_below) {
-  const size_t count = 1 + (size_t)(core_splitmix(state) % STACK_LAYERS);
-  const bool steps = core_splitmix_f64(state) < 0.5, deep = core_splitmix_f64(state) < 0.5;
-  const double eta = between(state, 1, 1.6), sigma_t = exp(between(state, log(0.3), log(30)));
-  for (size_t i = 0; i < count; i++) {
-    const double extinction = sigma_t * exp(between(state, log(0.32), log(3.1)));
-    const double white = core_splitmix_f64(state), part = exp(between(state, log(1e-4), log(0.9)));
-    const double absorbed = white < 0.1 ? 0 : part, g = between(state, -0.5, 0.99);
-    const double own = between(state, 1, 1.6), mfps = exp(between(state, log(1e-3), log(100)));
-    const double reduced = extinction * (absorbed + (1 - absorbed) * (1 - g));
-    layer[i] =
-        (solver_layer){extinction * absorbed, extinction * (1 - absorbed), g, steps ? own : eta,
-                       i + 1 == count && deep ? INFINITY : mfps / reduced};
-  }
-  *eta_below = between(state, 1, 1.6);
-  return count;
-}
-
-static bool check_stack(size_t number, const solver_layer *layer, size_t count, double eta_below) {
-  const core_isa *isa = core_isa_select(NULL);
-  static const double tolerances[] = {1e-2, 1e-3};
-  enum { TOLERANCES = sizeof tolerances / sizeof tolerances[0] };
-  solver_layers *fine, *solution[TOLERANCES];
-  double seconds[TOLERANCES];
-  for (size_t i = 0; i < TOLERANCES; i++) {
-    const double start = seconds_now();
-    const core_fault fault =
-        solver_layers_solve(&solution[i], isa, layer, count, eta_below, tolerances[i], NULL);
-    seconds[i] = seconds_now() - start;
-    if (fault.field != NULL) {
-      printf("%zu,%zu,refused: %s %s\n", number, count, fault.field, fault.allowed);
-      return true;
-    }
-  }
-  tools_check(solver_layers_solve_level(&fine, isa, layer, count, eta_below, FINEST_LEVEL, NULL),
-              "the solver");
-  const double mfp_mm = 1 / (layer[0].sigma_a_per_mm + layer[0].sigma_s_per_mm * (1 - layer[0].g));
-  bool good = true;
-  for (size_t side = 0; side < (isinf(layer[count - 1].thickness_mm) ? 1 : SOLVER_SIDES); side++) {
-    printf("%zu,%zu,%c", number, count, "RT"[side]);
-    for (size_t i = 0; i < TOLERANCES; i++) {
-      double stated = 0, share = 0, at = 0;
-      const double large = solver_layers_at(fine, side, 0.05 * mfp_mm).value;
-      for (double r = 0.05; r < 30; r *= 1.25) {
-        const double truth = solver_layers_at(fine, side, r * mfp_mm).value;
-        const transport_number R = solver_layers_at(solution[i], side, r * mfp_mm);
-        if (!(truth > 1e-9 * large)) {
-          break;
-        }
-        stated = fmax(stated, R.error / truth);
-        if (!(fabs(R.value - truth) <= share * R.error)) {
-          share = fabs(R.value - truth) / R.error;
-          at = r;
-        }
-      }
-      printf(",%.3g,%.3g,%.3g,%.3g", stated, share, at, seconds[i]);
-      good = good && share <= 1;
-    }
-    printf("\n");
-  }
-  fflush(stdout);
-  for (size_t i = 0; i < TOLERANCES; i++) {
-    solver_layers_free(solution[i]);
-  }
-  solver_layers_free(fine);
-  return good;
-}
-
-static bool check_stacks(uint64_t seed, size_t count, size_t first) {
-  uint64_t state = seed;
-  bool good = true;
-  printf("stack,layers,of,stated_2,share_2,at_2,seconds_2,stated_3,share_3,at_3,seconds_3\n");
-  for (size_t i = 0; i < first + count; i++) {
-    solver_layer layer[STACK_LAYERS];
-    double eta_below;
-    const size_t layers = draw_stack(&state, layer, &eta_below);
-    good = (i < first || check_stack(i, layer, layers, eta_below)) && good;
-  }
-  return good;
-}
-
-static double number_of(const char *text) {
-  return text != NULL ? atof(text) : 0;
-}
-
 int main(int argc, char **argv) {
-  if (argc >= 4 && (strcmp(argv[1], "media") == 0 || strcmp(argv[1], "stacks") == 0)) {
-    const uint64_t seed = (uint64_t)number_of(argv[2]);
-    const size_t count = (size_t)number_of(argv[3]), first = (size_t)number_of(argv[4]);
-    return (argv[1][0] == 'm' ? check_media : check_stacks)(seed, count, first) ? EXIT_SUCCESS
-                                                                                : EXIT_FAILURE;
-  }
-  const bool walks = argc >= 3 && strcmp(argv[1], "walked") == 0;
-  const double millions = argc == 2 || walks ? atof(argv[walks ? 2 : 1]) : 0;
-  const double one = walks ? number_of(argv[3]) : 0;
-  if (!(millions >= 0.1 && millions <= 1e6 && one >= 0 && one < WALKED)) {
-    tools_fail("usage: rings MILLIONS | media SEED COUNT [FIRST] | walked MILLIONS [MEDIUM] | "
-               "stacks SEED COUNT [FIRST]");
-  }
-  if (walks) {
-    const bool all = argv[3] == NULL;
-    return check_walked(millions, (size_t)one, all ? WALKED : 1) ? EXIT_SUCCESS : EXIT_FAILURE;
+  const double millions = argc == 2 ? atof(argv[1]) : 0;
+  if (!(millions >= 0.1 && millions <= 1e6)) {
+    tools_fail("usage: rings MILLIONS");
   }
   static struct run run;
   run.tolerance = millions < FINEST_FROM_MILLIONS ? 1e-3 : 1e-4;
