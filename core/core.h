@@ -114,6 +114,9 @@ bool core_solves(unsigned model);
 /* True for quantities with one value for each radius and channel. bit: of enum core_quantity. */
 bool core_quantity_elementwise(unsigned bit);
 
+/* The quantities that need no radii. */
+enum { CORE_OF_CHANNEL = CORE_QUANTITY_ALBEDO | CORE_QUANTITY_MODEL_ERROR | CORE_QUANTITY_BALANCE };
+
 /* Size in bytes of a radius or value of an evaluator: 8 or 4, or 0 if the id is unknown. */
 size_t core_evaluator_bytes(unsigned evaluator);
 
@@ -146,6 +149,11 @@ typedef struct core_medium {
 } core_medium;
 
 enum { CORE_LAYERS_MAX = 8 };
+
+/* BALANCE: the shares of the power that entered that leave above and below the layers after they were
+ * scattered, then without being scattered, then those that each layer absorbs, from the top down; they
+ * sum up to 1. The model is core_solves(). The errors are absolute. */
+enum { CORE_BALANCE_SHARES = 4 + CORE_LAYERS_MAX };
 
 #define CORE_THICKNESS_MIN_MM 1e-15
 #define CORE_THICKNESS_MAX_MM 1e30
@@ -296,9 +304,11 @@ typedef struct core_profile {
   core_reach reach;
   double T_errors[CORE_MODEL_ERROR_BANDS + 1]; /* of T, as numerical_errors; 0 where T is 0 */
   core_reach T_reach;
-  unsigned notes;         /* bits of enum core_note */
-  core_radii_range radii; /* the profile may be evaluated from least to most */
-  double cost;            /* of one radius, in evaluations of a dipole */
+  double balance[CORE_BALANCE_SHARES]; /* of `transport` and `transport-transmitted`; else 0 */
+  double balance_error;                /* absolute */
+  unsigned notes;                      /* bits of enum core_note */
+  core_radii_range radii;              /* the profile may be evaluated from least to most */
+  double cost;                         /* of one radius, in evaluations of a dipole */
 
   const struct core_kernels *kernels; /* NULL for a sum of two parts */
   struct core_profile *parts;         /* [2], owned; NULL unless the profile is a sum */

@@ -159,15 +159,17 @@ typedef struct core_preparation {
   /* error of derivatives, if it is not that of R, else 0 */
   double derivative_error;
   double derivative_error_per_mm;
-  core_added_errors derivative_added; /* as `added`, of derivatives, absolute */
-  double error_epsilons;              /* further error, in epsilons of the evaluator */
-  double error_epsilons_per_mm;       /* further error for each mm of r, in epsilons */
-  double cost;                        /* see core_profile */
-  double scale_mm;                    /* see core_profile */
-  core_reach reach;                   /* see core_profile */
-  core_added_errors T_added;          /* as `added`, of T; 0 where T is 0 */
-  core_reach T_reach;                 /* see core_profile */
-  unsigned notes;                     /* bits of enum core_note */
+  core_added_errors derivative_added;  /* as `added`, of derivatives, absolute */
+  double error_epsilons;               /* further error, in epsilons of the evaluator */
+  double error_epsilons_per_mm;        /* further error for each mm of r, in epsilons */
+  double cost;                         /* see core_profile */
+  double scale_mm;                     /* see core_profile */
+  core_reach reach;                    /* see core_profile */
+  core_added_errors T_added;           /* as `added`, of T; 0 where T is 0 */
+  core_reach T_reach;                  /* see core_profile */
+  double balance[CORE_BALANCE_SHARES]; /* see core_profile */
+  double balance_error;
+  unsigned notes; /* bits of enum core_note */
 } core_preparation;
 
 /* Each formula has two functions. core_<formula>_check() returns the fault of inputs outside the

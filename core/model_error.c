@@ -187,9 +187,9 @@ core_stated_errors core_profile_errors(const core_profile *profile, unsigned wan
                                        core_radii_range radii) {
   const unsigned by_sigma = CORE_QUANTITY_BY_SIGMA_A | CORE_QUANTITY_BY_SIGMA_S;
   const bool derivatives = (wanted & by_sigma) != 0;
-  const unsigned others =
-      wanted & ~(by_sigma | CORE_PATHS | CORE_MODULATED | CORE_QUANTITY_T |
-                 CORE_QUANTITY_MODEL_ERROR | CORE_QUANTITY_MODEL_ERRORS | CORE_QUANTITY_RADIUS);
+  const unsigned others = wanted & ~(by_sigma | CORE_PATHS | CORE_MODULATED | CORE_QUANTITY_T |
+                                     CORE_QUANTITY_MODEL_ERROR | CORE_QUANTITY_MODEL_ERRORS |
+                                     CORE_QUANTITY_RADIUS | CORE_QUANTITY_BALANCE);
 
   const double most_mm = (wanted & FOLLOWS_R) != 0 ? radii.most_mm : 0;
   const double numerical = core_banded_error(profile->numerical_errors, profile->numerical_error,
@@ -208,7 +208,8 @@ core_stated_errors core_profile_errors(const core_profile *profile, unsigned wan
     return (core_stated_errors){.numerical = (double)INFINITY};
   }
   const core_stated_errors errors = {
-      .numerical = fmax(fmax(others != 0 ? of_others : 0, of_T),
+      .numerical = fmax(fmax(fmax(others != 0 ? of_others : 0, of_T),
+                             (wanted & CORE_QUANTITY_BALANCE) != 0 ? profile->balance_error : 0),
                         derivatives ? derivative_error(profile, radii) : 0),
       .numerical_per_mm = fmax(
           (others & ~(unsigned)CORE_QUANTITY_ALBEDO) != 0 ? profile->numerical_error_per_mm : 0,

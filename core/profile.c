@@ -318,6 +318,8 @@ static core_fault prepare_model(core_profile *profile, const struct model *model
     profile->T_errors[i] = error + preparation.T_added.banded[i];
   }
   profile->T_reach = preparation.T_reach;
+  memcpy(profile->balance, preparation.balance, sizeof profile->balance);
+  profile->balance_error = preparation.balance_error;
   profile->notes = preparation.notes;
   note_albedo(profile,
               preparation.error + preparation.error_epsilons * DBL_EPSILON + preparation.added.all);
@@ -474,6 +476,8 @@ static core_fault prepare_table(core_profile *profile, const struct model *model
     profile->T_errors[i] = source->T_errors[i] > 0 ? source->T_errors[i] + (double)FLT_EPSILON : 0;
   }
   profile->T_reach = source->T_reach;
+  memcpy(profile->balance, source->balance, sizeof profile->balance);
+  profile->balance_error = source->balance_error;
   profile->notes = source->notes;
   profile->cost = 1;
   profile->scale_mm = source->scale_mm;

@@ -60,7 +60,7 @@ static const schema_payload *payload_of(unsigned wanted) {
 
 bool eval_reply_layout(unsigned evaluator, unsigned wanted, uint32_t channel_count,
                        uint64_t radius_count, uint64_t max_payload_bytes, eval_layout *layout) {
-  enum { ALBEDOS, ERRORS, RADII, ARRAYS };
+  enum { ALBEDOS, BALANCES, ERRORS, RADII, ARRAYS };
   const wire_eval_reply fixed = {.count = radius_count,
                                  .evaluator = (uint16_t)evaluator,
                                  .wanted = wanted & ~EVAL_DRAWN,
@@ -71,6 +71,7 @@ bool eval_reply_layout(unsigned evaluator, unsigned wanted, uint32_t channel_cou
   }
   *layout = (eval_layout){.payload_bytes = all.payload_bytes,
                           .radius_offset = all.parts[RADII].at,
+                          .balances_offset = all.parts[BALANCES].at,
                           .errors_offset = all.parts[ERRORS].at,
                           .errors_per_channel = (unsigned)__builtin_popcount(fixed.wanted),
                           .arrays_offset = all.parts[ARRAYS].at};

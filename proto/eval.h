@@ -38,9 +38,10 @@ wire_error sample_request_parse(const uint8_t *payload, size_t payload_bytes, co
 /* Layout of a reply's payload. Offsets count from its start. */
 typedef struct eval_layout {
   uint64_t payload_bytes;
-  uint64_t radius_offset; /* the array of radii, if they are wanted and not drawn */
-  uint64_t array_bytes;   /* length of one array with padding */
-  uint64_t errors_offset; /* quantity_error of the first channel's first quantity */
+  uint64_t radius_offset;   /* the array of radii, if they are wanted and not drawn */
+  uint64_t array_bytes;     /* length of one array with padding */
+  uint64_t balances_offset; /* those of the channels, if they are wanted */
+  uint64_t errors_offset;   /* quantity_error of the first channel's first quantity */
   unsigned errors_per_channel;
   uint64_t arrays_offset; /* the first channel's first array */
   unsigned arrays_per_channel;

@@ -299,7 +299,8 @@ enum dipole_quantity {
    * reduced to a circle, and its amplitude over the mean, relative to that of the light that enters;
    * for dipoles, single, their sums and transport. Their errors are absolute. */
   DIPOLE_LAG = 262144, /* phase */
-  DIPOLE_MODULATION = 524288
+  DIPOLE_MODULATION = 524288,
+  DIPOLE_BALANCE = 1048576 /* dipole_channel.balance, with transport; its errors are absolute */
 };
 enum dipole_spacing { DIPOLE_LIST = 1, DIPOLE_LINEAR = 2, DIPOLE_LOGARITHMIC = 3 };
 
@@ -359,6 +360,13 @@ typedef struct dipole_query {
  * prepare and then the least for a radius; it is within 1e-4 of the other evaluators. */
 void dipole_query_init(dipole_query *query);
 
+/* Where the power goes that has entered: shares, whose sum is 1. */
+typedef struct dipole_balance {
+  double reflected, transmitted; /* light that was scattered and leaves above, and below */
+  double unscattered_above, unscattered_below; /* light that leaves without being scattered */
+  double absorbed[8];                          /* by each layer, from the top down; else 0 */
+} dipole_balance;
+
 /* The relative errors of values. At radius r, a value is off from the model's formula by at most
  * numerical_error + numerical_error_per_mm * r. */
 typedef struct dipole_errors {
@@ -381,8 +389,9 @@ typedef struct dipole_channel {
    * relative, for ln R and the cdf absolute, for R_f over the albedo. NaN unless DIPOLE_MODEL_ERROR
    * was wanted, or if transport is not solved for the medium, or diverges at all radii (r = 0). */
   double model_error;
-  const double *R_f64;   /* [radius_count], 1/mm^2 */
-  const double *cdf_f64; /* [radius_count] */
+  const dipole_balance *balance; /* NULL if it was not wanted */
+  const double *R_f64;           /* [radius_count], 1/mm^2 */
+  const double *cdf_f64;         /* [radius_count] */
   const float *R_f32;
   const float *cdf_f32;
 } dipole_channel;

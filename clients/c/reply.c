@@ -77,6 +77,10 @@ static void get_channel(const libdipole_frame *frame, const eval_layout *layout,
                               .numerical_error_per_mm = most.numerical_error_per_mm,
                               .model_error = most.model_error};
   memcpy(&channel->albedo, frame->payload + eval_albedo_offset(index), sizeof channel->albedo);
+  if ((wanted & CORE_QUANTITY_BALANCE) != 0) {
+    channel->balance =
+        (const dipole_balance *)(const void *)(frame->payload + layout->balances_offset) + index;
+  }
   const void *R = array_at(frame, layout, wanted, index, CORE_QUANTITY_R);
   const void *cdf = array_at(frame, layout, wanted, index, CORE_QUANTITY_CDF);
   if (fixed->evaluator == DIPOLE_F64) {

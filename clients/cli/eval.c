@@ -10,6 +10,7 @@
 #include "clients/cli/options.h"
 #include "clients/cli/picture.h"
 #include "clients/cli/progress.h"
+#include "proto/schema.h"
 
 #define MODEL_ALL "all"
 
@@ -50,7 +51,8 @@ static const cli_option output_options[] = {
         NAMES, wanted, NULL,
         "what to evaluate. R: 1/mm^2 per unit of power that entered; albedo; cdf: the share of the "
         "albedo within r; S: 1/(mm^2 sr); R_f: for striped light, at spatial frequencies in 1/mm; "
-        "`dipole info` lists all (default: R,albedo; with --f R_f,albedo)"),
+        "balance: where the power goes, and what each layer absorbs; `dipole info` lists all "
+        "(default: R,albedo; with --f R_f,albedo)"),
     CLI_OPTION(SWITCH, errors, NULL,
                "also write model_errors: how far the model is from transport at each radius. A "
                "medium for which transport has no stored solution is solved, which takes seconds"),
@@ -102,13 +104,16 @@ static void keep_part(cli_eval_report *report, size_t model, size_t of_channel, 
     cli_eval_values *values =
         &report->values[model * report->profile.channel_count + of_channel + i];
     values->albedo = channel->albedo;
+    if (channel->balance != NULL) {
+      values->balance = *channel->balance;
+    }
     const dipole_errors all = {channel->numerical_error, channel->numerical_error_per_mm,
                                channel->model_error};
     keep_errors(&values->errors, all, first == 0);
     for (size_t q = 0; q < report->quantities.count; q++) {
       const unsigned id = report->quantities.items[q]->id;
       keep_errors(&values->of_each[q], dipole_errors_of(part, i, id), first == 0);
-      if (id == DIPOLE_ALBEDO) {
+      if ((id & CLI_OF_CHANNEL) != 0) {
         continue;
       }
       /* allocated now, because the daemon accepts this many places */
@@ -180,7 +185,7 @@ bool cli_eval_take_quantities(const cli_settings *settings, cli_eval_report *rep
         cli_choice_of_id(report->profile.info, DIPOLE_QUANTITY, DIPOLE_MODEL_ERRORS);
   }
   const unsigned others =
-      report->quantities.wanted & ~(unsigned)(DIPOLE_ALBEDO | DIPOLE_RADIUS | DIPOLE_MODEL_ERRORS);
+      report->quantities.wanted & ~(CLI_OF_CHANNEL | DIPOLE_RADIUS | DIPOLE_MODEL_ERRORS);
   report->place = others == DIPOLE_TRANSFER ? "f" : "r";
   if (at_f && others != DIPOLE_TRANSFER) {
     return cli_fails_usage("--f gives spatial frequencies, which only R_f has: request R_f alone");
@@ -192,7 +197,7 @@ void cli_eval_set_radii(const cli_settings *settings, const cli_eval_report *rep
                         dipole_query *query) {
   const cli_numbers *list = settings->f.count > 0 ? &settings->f : &settings->r;
   query->spacing = DIPOLE_LIST;
-  if ((report->quantities.wanted & ~(unsigned)(DIPOLE_ALBEDO | DIPOLE_RADIUS)) == 0) {
+  if ((report->quantities.wanted & ~(CLI_OF_CHANNEL | DIPOLE_RADIUS)) == 0) {
     return;
   }
   if (list->count > 0) {
@@ -466,7 +471,7 @@ static void put_errors_of(cli_rows *rows, const cli_eval_report *report,
 static void put_errors(cli_rows *rows, const cli_eval_report *report, const cli_eval_values *values,
                        double r_mm) {
   const cli_quantities *quantities = &report->quantities;
-  const unsigned beside = DIPOLE_ALBEDO | DIPOLE_RADIUS | DIPOLE_MODEL_ERRORS;
+  const unsigned beside = CLI_OF_CHANNEL | DIPOLE_RADIUS | DIPOLE_MODEL_ERRORS;
   const bool several = __builtin_popcount(quantities->wanted & ~beside) > 1;
   put_errors_of(rows, report, &values->errors, r_mm, several ? CLI_IN_CSV | CLI_IN_JSON : 0, "");
   for (size_t q = 0; several && q < quantities->count; q++) {
@@ -498,6 +503,14 @@ static size_t rows_of_channel(const cli_eval_report *report) {
   return report->place_count > 0 ? report->place_count : 1;
 }
 
+/* Writes where the power goes, which the structure's last numbers say of the layers. */
+static void put_balance(cli_rows *rows, const dipole_balance *of, uint32_t layers) {
+  const schema_field *names = schema_structures[SCHEMA_STRUCTURE_balance].fields;
+  for (size_t i = 0; i < 4 + layers; i++) {
+    cli_put_number(rows, ((const double *)of)[i], names[i].name);
+  }
+}
+
 /* Writes the values of a model and channel at a place; in a table, what holds for all places. */
 static void put_value(cli_rows *rows, const void *context, size_t index) {
   const cli_eval_report *report = context;
@@ -522,7 +535,9 @@ static void put_value(cli_rows *rows, const void *context, size_t index) {
   for (size_t q = 0; q < report->quantities.count; q++) {
     const dipole_choice *quantity = report->quantities.items[q];
     const bool is_albedo = quantity->id == DIPOLE_ALBEDO;
-    if (each || is_albedo) {
+    if (quantity->id == DIPOLE_BALANCE) {
+      put_balance(rows, &values->balance, report->profile.layer_count);
+    } else if (each || is_albedo) {
       cli_put_number(rows, is_albedo ? values->albedo : values->arrays[q][at], quantity->name,
                      .unit = quantity->about);
     }

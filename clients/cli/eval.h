@@ -5,16 +5,20 @@
 
 #include "clients/cli/profile.h"
 
+/* The quantities without radii. */
+#define CLI_OF_CHANNEL (unsigned)(DIPOLE_ALBEDO | DIPOLE_BALANCE)
+
 /* ---- replies ----------------------------------------------------------------------- */
 
 /* The values of one model and channel. Single precision values are held as the doubles that they
  * equal. */
 typedef struct cli_eval_values {
   double albedo;                             /* albedo of the medium; NaN if it is not wanted */
+  dipole_balance balance;                    /* zeros if it is not wanted */
   dipole_errors errors;                      /* the largest errors of all quantities */
   dipole_errors of_each[CLI_QUANTITIES_MAX]; /* the errors of each of the report's quantities */
   double *arrays[CLI_QUANTITIES_MAX]; /* [place_count] for each of the report's quantities; NULL for
-                                         the albedo */
+                                         those of CLI_OF_CHANNEL */
 } cli_eval_values;
 
 typedef struct cli_eval_model {

@@ -351,7 +351,7 @@ static int request_curves(cli_settings eval, const char *name, dipole_client *cl
   eval.wanted = (cli_texts){1, wanted, quantity};
   const dipole_choice *choice =
       cli_named(dipole_get_info(client), DIPOLE_QUANTITY, "quantity", name);
-  if (choice != NULL && (choice->id == DIPOLE_ALBEDO || choice->id == DIPOLE_RADIUS)) {
+  if (choice != NULL && (choice->id & (CLI_OF_CHANNEL | DIPOLE_RADIUS)) != 0) {
     return cli_fail_usage("--quantity %s: there is no curve of it over r; name another quantity",
                           name);
   }

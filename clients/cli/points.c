@@ -928,6 +928,9 @@ static int take_quantities(points_run *points) {
   if ((points->quantities.wanted & DIPOLE_RADIUS) != 0) {
     return cli_fail_usage("--wanted r: r is a column of the input, or of --r: leave it out");
   }
+  if ((points->quantities.wanted & DIPOLE_BALANCE) != 0) {
+    return cli_fail_usage("--wanted balance: rows have no room for its shares; use dipole eval");
+  }
   points->by_f = (points->quantities.wanted & ~(unsigned)DIPOLE_ALBEDO) == DIPOLE_TRANSFER;
   if (settings->f.count > 0 && (settings->r.count > 0 || !points->by_f)) {
     return cli_fail_usage(

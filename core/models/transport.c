@@ -1213,6 +1213,16 @@ static core_fault add_below(const core_inputs *inputs, const solver_layers *laye
   return c != NULL ? (core_fault){0} : CORE_OUT_OF_MEMORY;
 }
 
+static void note_balance(const solver_balance *of, core_preparation *to) {
+  for (size_t i = 0; i < CORE_BALANCE_SHARES; i++) {
+    const transport_number share = i < 2   ? of->out[i]
+                                   : i < 4 ? (transport_number){of->unscattered[i - 2], 0}
+                                           : of->absorbed[i - 4];
+    to->balance[i] = share.value;
+    to->balance_error = fmax(to->balance_error, share.error);
+  }
+}
+
 static core_fault prepare_layers(const core_inputs *inputs, double tolerance,
                                  core_preparation *preparation) {
   const uint32_t count = inputs->parameters->layer_count;
@@ -1227,6 +1237,7 @@ static core_fault prepare_layers(const core_inputs *inputs, double tolerance,
     fault = solver_layers_balance(solution, inputs->isa, &balance);
   }
   if (fault.field == NULL) {
+    note_balance(&balance, preparation);
     fault = prepare_side(inputs, solution, side, &balance.out[side], tolerance, preparation);
   }
   if (fault.field == NULL && side == 0 && inputs->medium[count - 1].thickness_mm > 0) {
@@ -1246,7 +1257,7 @@ static core_fault prepare_layers(const core_inputs *inputs, double tolerance,
 #define TOLERANCE 1e-3
 #define LAYERS_TOLERANCE 1e-2
 
-core_fault core_transport_prepare(const core_inputs *inputs, core_preparation *preparation) {
+static core_fault prepare_any(const core_inputs *inputs, core_preparation *preparation) {
   const core_medium medium = medium_of(inputs);
   preparation->cost = COST;
   preparation->error = SERIES_ERROR;
@@ -1266,6 +1277,19 @@ core_fault core_transport_prepare(const core_inputs *inputs, core_preparation *p
                  core_transport_is_looked_up(&medium, any ? (double)NAN : asked)
              ? prepare_stored(inputs, &medium, preparation)
              : prepare_solved(inputs, &medium, tolerance, preparation);
+}
+
+core_fault core_transport_prepare(const core_inputs *inputs, core_preparation *preparation) {
+  const core_fault fault = prepare_any(inputs, preparation);
+  if (fault.field == NULL && !is_layered(inputs)) {
+    preparation->balance[0] = preparation->albedo;
+    preparation->balance[4] = 1 - preparation->albedo;
+    preparation->balance_error =
+        preparation->error + preparation->added.banded[CORE_MODEL_ERROR_BANDS];
+  } else if (fault.field == NULL && !scatters(inputs)) {
+    preparation->balance_error = (double)INFINITY; /* it is not computed */
+  }
+  return fault;
 }
 
 #endif

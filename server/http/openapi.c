@@ -321,15 +321,17 @@ static void put_schemas(struct text *text) {
   put_json(text, "}}");
   put_object(text, "Offer", FIELDS(offer));
   put_object(text, "Estimate", FIELDS(estimate));
+  put_object(text, "Balance", FIELDS(balance));
   put_object(text, "Sought", FIELDS(sought));
   put_object(text, "FittedTissue", FIELDS(fitted_tissue));
   put_object(text, "TissueEstimate", FIELDS(tissue_estimate));
   begin_object(text, "Channel", "");
   put_medium(text);
   put_json(text, ",'errors':{'type':'object','description':'of each wanted quantity',"
-                 "'additionalProperties':" REFERENCE("Errors") "},'albedo':" NUMBER);
+                 "'additionalProperties':" REFERENCE("Errors") "},'albedo':" NUMBER
+                                                               ",'balance':" REFERENCE("Balance"));
   for (const core_choice *one = core_quantities; one->name != NULL; one++) {
-    if (one->id != CORE_QUANTITY_ALBEDO && one->id != CORE_QUANTITY_MODEL_ERROR) {
+    if ((one->id & CORE_OF_CHANNEL) == 0) {
       put_list(text, one->name, NUMBER, one->about);
     }
   }

@@ -115,8 +115,7 @@ static void write_units(struct text *text, const schema_field *fields) {
 
 /* With R_f alone, r holds spatial frequencies. */
 static void write_quantity_units(struct text *text, unsigned wanted) {
-  const unsigned by_r = CORE_QUANTITY_ALBEDO | CORE_QUANTITY_RADIUS | CORE_QUANTITY_MODEL_ERROR |
-                        CORE_QUANTITY_MODEL_ERRORS;
+  const unsigned by_r = CORE_OF_CHANNEL | CORE_QUANTITY_RADIUS | CORE_QUANTITY_MODEL_ERRORS;
   const bool by_f = (wanted & ~by_r) == CORE_QUANTITY_TRANSFER;
   for (const core_choice *one = core_quantities; one->name != NULL; one++) {
     if ((one->id & wanted) != 0) {
@@ -149,6 +148,10 @@ static void write_channel(struct text *text, const uint8_t *payload, const uint8
   http_text_begin(text, NULL, '{');
   write_medium(text, medium, layer_count);
   http_text_number(text, "albedo", get_f64(payload + eval_albedo_offset(channel)));
+  if ((fixed->wanted & CORE_QUANTITY_BALANCE) != 0) {
+    write_object(text, "balance", FIELDS(balance),
+                 payload + layout->balances_offset + channel * (size_t)WIRE_BYTES_balance);
+  }
   http_text_begin(text, "errors", '{');
   for (const core_choice *one = core_quantities; one->name != NULL; one++) {
     if ((one->id & fixed->wanted & ~(unsigned)CORE_QUANTITY_MODEL_ERROR) != 0) {

@@ -40,9 +40,9 @@ wire_error choice_check(const eval_request *request) {
                            "a model of the list; 0 with the parameter tolerance alone");
   }
   if (core_wants_derivatives(request->fixed.wanted) ||
-      (request->fixed.wanted & CORE_MODULATED) != 0) {
+      (request->fixed.wanted & (CORE_MODULATED | CORE_QUANTITY_BALANCE)) != 0) {
     return wire_error_make(WIRE_STATUS_BAD_VALUE, "wanted",
-                           "no derivatives with a tolerance in place of a model");
+                           "no derivatives or balance with a tolerance in place of a model");
   }
   if (!isnan(request->parameters.value[CORE_PARAMETER_GAMMA])) {
     return wire_error_make(WIRE_STATUS_BAD_VALUE, "gamma",

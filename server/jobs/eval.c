@@ -37,6 +37,10 @@ static wire_error check_media(struct eval_job *eval, core_radii_range *radii) {
         fixed->model != CORE_MODEL_TRANSPORT) {
       fault = (core_fault){"wanted", "no T: this model has only R; transport has both", 0};
     }
+    if (fault.field == NULL && (fixed->wanted & CORE_QUANTITY_BALANCE) != 0 &&
+        !core_solves(fixed->model)) {
+      fault = (core_fault){"wanted", "no balance: this model has only R; transport has it", 0};
+    }
     if (fault.field == NULL) {
       fault = core_paths_check(fixed->wanted, eval_job_medium(eval, channel),
                                &eval->request.parameters);
@@ -79,8 +83,7 @@ static wire_error check_range(const struct eval_job *eval, const core_radii_rang
 /* If only the albedo is wanted, there may be no radii: a grid of 0 radii is accepted. */
 static wire_error check_grid(const struct eval_job *eval) {
   const wire_eval_request *fixed = &eval->request.fixed;
-  const unsigned of_channel = CORE_QUANTITY_ALBEDO | CORE_QUANTITY_MODEL_ERROR;
-  if ((fixed->wanted & of_channel) != 0 && (fixed->wanted & ~of_channel) == 0 &&
+  if ((fixed->wanted & CORE_OF_CHANNEL) != 0 && (fixed->wanted & ~CORE_OF_CHANNEL) == 0 &&
       fixed->radius_count == 0) {
     return wire_error_none();
   }
@@ -396,8 +399,7 @@ static void keep_head(struct eval_job *eval) {
   }
 }
 
-#define NOT_DRAWN                                                                                  \
-  (unsigned)(CORE_QUANTITY_ALBEDO | CORE_QUANTITY_MODEL_ERROR | CORE_QUANTITY_MODEL_ERRORS)
+#define NOT_DRAWN (unsigned)(CORE_OF_CHANNEL | CORE_QUANTITY_MODEL_ERRORS)
 
 /* Returns a model error as replies state it: NAN if it is not known. Here INFINITY means that it is
  * not known. */
@@ -416,6 +418,10 @@ static void start_channel(struct eval_job *eval) {
   const unsigned listed = eval->request.fixed.wanted;
   const double albedo = (listed & CORE_QUANTITY_ALBEDO) != 0 ? profile->albedo : (double)NAN;
   memcpy(eval->reply + eval_albedo_offset(eval->channel), &albedo, sizeof albedo);
+  if ((listed & CORE_QUANTITY_BALANCE) != 0) {
+    memcpy(eval->reply + eval->layout.balances_offset + eval->channel * sizeof profile->balance,
+           profile->balance, sizeof profile->balance);
+  }
   core_requested_radii requested = {.listed = NULL};
   if ((listed & CORE_QUANTITY_MODEL_ERROR) != 0) {
     requested = requested_radii(eval);
@@ -529,8 +535,7 @@ static enum job_outcome get_profile(struct eval_job *eval) {
 /* Writes the model errors at n radii. Single precision is rounded up. */
 static void compare_models(const struct eval_job *eval, size_t n, const void *r, void *to) {
   const bool single = eval->value_bytes == sizeof(float);
-  const unsigned others = CORE_QUANTITY_MODEL_ERRORS | CORE_QUANTITY_MODEL_ERROR |
-                          CORE_QUANTITY_RADIUS | CORE_QUANTITY_ALBEDO;
+  const unsigned others = CORE_OF_CHANNEL | CORE_QUANTITY_MODEL_ERRORS | CORE_QUANTITY_RADIUS;
   const unsigned wanted = eval->request.fixed.wanted & ~others;
   for (size_t first = 0; first < n; first += CORE_RULER_RADII) {
     double at[CORE_RULER_RADII], error[CORE_RULER_RADII];

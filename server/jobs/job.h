@@ -167,7 +167,7 @@ void job_parts_cut(struct job_parts *parts, uint64_t total, uint64_t most);
 bool job_parts_next(struct job_parts *parts);
 
 /* The size of a slot, which can hold a job of any kind. Each kind asserts that it fits. */
-enum { JOB_SLOT_BYTES = 4864 };
+enum { JOB_SLOT_BYTES = 5120 };
 
 struct job_slot {
   _Alignas(16) uint8_t bytes[JOB_SLOT_BYTES];

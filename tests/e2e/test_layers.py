@@ -154,6 +154,31 @@ def test_transmitted_light_is_drawn_and_gathered(daemon):
         assert (refusal.value.field, refusal.value.index) == ("thickness", 1)
 
 
+def test_all_power_is_accounted_for(daemon):
+    """By Python and HTTP, with and without radii, by tables, too: what leaves, and what each layer absorbs."""
+    one = daemon("--workers", "1", "--http", "127.0.0.1:0")
+    layers = Stack(Medium(0.3, 3.0, 0.5, 1.4, 0.5), Medium(0.05, 2.0, 0.3, 1.33, 1.0))
+    with Client(one.url(), timeout_s=200) as client:
+        alone = client.eval("transport", [layers], wanted=["balance"], evaluator="f64")
+        beside = client.eval("transport", [layers], R_MM, wanted=["R", "albedo", "balance"])
+        (shares,) = beside.balance
+        assert alone.balance == beside.balance and shares["reflected"] == beside.albedo[0]
+        assert abs(sum(shares) - 1) < 1e-6 and beside.errors["balance"].numerical_error[0] < 1e-6
+        walked = client.mc(layers, Grid(0.0, 10.0, 11), photons=100000).energies[0]
+        through = shares["transmitted"] + shares["unscattered_below"]
+        for found, known in zip((through, shares["absorbed_1"], shares["absorbed_2"]), (walked.T, *walked.in_layer)):
+            assert abs(found - known.value) <= 4 * known.error
+        (half,) = client.eval("transport", SKIN, wanted=["albedo", "balance"]).balance
+        assert half["reflected"] + half["absorbed_1"] == 1 and half["transmitted"] == 0
+        for model, wrong in (("better", "transport has it"), (None, "in place of a model")):
+            with pytest.raises(Refused, match=wrong):
+                client.eval(model, SKIN, wanted=["balance"], tolerance=0.1)
+    asked = [dict(layer._asdict()) for layer in layers]
+    reply = post(one, "/v1/eval", model="transport", medium=[asked], wanted="balance", evaluator="f64").json
+    told = reply["channels"][0]["balance"]
+    assert [*told.items()] == [*zip(alone.balance.dtype.names, alone.balance[0].tolist())]
+
+
 def test_small_requests_go_on_beside_a_hundred_stacks(daemon):
     """The client that asked for the stacks leaves without an answer."""
     one = daemon("--workers", "1")

@@ -48,7 +48,8 @@ def test_ids_that_layouts_depend_on():
     assert quantities["albedo"] == wire.QUANTITY_ALBEDO
     assert quantities["cdf"] == wire.QUANTITY_CDF
     assert quantities["r"] == wire.QUANTITY_RADIUS
-    per_radius = [bit for name, bit in quantities.items() if name not in ("albedo", "r", "model_error")]
+    per_radius = [bit for name, bit in quantities.items() if name not in ("albedo", "r", "model_error", "balance")]
+    assert quantities["balance"] == wire.QUANTITY_BALANCE
     assert quantities["model_error"] == wire.QUANTITY_MODEL_ERROR
     assert per_radius == list(wire.ELEMENTWISE)
     assert choices("SPACING")["list"] == wire.SPACING_LIST

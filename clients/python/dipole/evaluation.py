@@ -103,8 +103,8 @@ def _eval_payload(info: Info, query: Query) -> tuple[bytes, Shape]:
 def request(info: Info, query: Query, is_streamed: bool = False) -> Request[Result]:
     """Makes the request of eval() or, for is_streamed, eval_parts()."""
     _check_model(query)
-    if query.r is None and query.grid is None and names_of(query.wanted, ("R",)) != ("albedo",):
-        raise ArgumentError('r: give radii, or a grid. Only wanted=["albedo"] needs none')
+    if query.r is None and query.grid is None and not {*names_of(query.wanted, ("R",))} <= {"albedo", "balance"}:
+        raise ArgumentError('r: give radii, or a grid. Only wanted=["albedo", "balance"] needs none')
     payload, shape = _eval_payload(info, query)
 
     def read(part: Joined) -> Result:
@@ -319,6 +319,8 @@ def _common_fields(joined: Joined, shape: Shape, info: Info) -> dict[str, Any]:
         arrays[wire.QUANTITY_RADIUS] = joined.arrays["r"]
     if fixed.wanted & wire.QUANTITY_ALBEDO:
         arrays[wire.QUANTITY_ALBEDO] = joined.heads[0]["albedo"]
+    if fixed.wanted & wire.QUANTITY_BALANCE:
+        arrays[wire.QUANTITY_BALANCE] = joined.heads[0]["balance"]
     errors = joined.heads[0]["errors"].view("<f8").reshape(shape.medium_count, -1, 3)
     quantities = sorted(info.choices["quantity"].values())
     return {

@@ -33,6 +33,9 @@ part: u32 part, u32 part_count, u64 first, u64 count
 eval_reply: u32 part, u32 part_count, u64 first, u64 count, u16 model, u16 evaluator, u16 moments,
     u16 notes, u32 wanted, u32 channel_count
 quantity_error: f64 numerical_error, f64 numerical_error_per_mm, f64 model_error
+balance: f64 reflected, f64 transmitted, f64 unscattered_above, f64 unscattered_below,
+    f64 absorbed_1, f64 absorbed_2, f64 absorbed_3, f64 absorbed_4, f64 absorbed_5,
+    f64 absorbed_6, f64 absorbed_7, f64 absorbed_8
 list_reply: u32 count, u32 zero
 measured_medium: text name[16], f64 sigma_a[3], f64 sigma_s[3], f64 g[3], f64 eta[3],
     f64 thickness[3]
@@ -111,10 +114,11 @@ hello_request: hello_request
 hello_reply: hello_reply; choice choice[choice_count]; value limit[limit_count]
 eval_request: eval_request; medium medium[layer_count*medium_count];
     parameter parameter[parameter_count]; real r[radius_count] if spacing is 1
-eval_reply: eval_reply; f64 albedo[channel_count];
+eval_reply: eval_reply; f64 albedo[channel_count]; balance balance[channel_count*wanted&1048576];
     quantity_error errors[channel_count*wanted&4294967295]; real r[count] if wanted&8 is 1;
     real values[channel_count*wanted&1044469][count]
 sample_reply: eval_reply; f64 albedo[channel_count];
+    balance balance[channel_count*wanted&1048576];
     quantity_error errors[channel_count*wanted&4294967295];
     real values[channel_count*wanted&1044477][count]
 media_reply: list_reply; measured_medium media[count]

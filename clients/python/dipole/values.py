@@ -107,7 +107,7 @@ class Query:
     media: one Medium; one Stack of layers; a list of several; an array [C, 4] of sigma_a, sigma_s, g
         and eta, or [C, 5] with thickness, or [C, L, 5] of stacks of L layers; or the name of a medium
         of media(), which stands for its red, green and blue channel.
-    r: N radii in mm, from 0 to infinity. Only wanted=["albedo"] needs no radii.
+    r: N radii in mm, from 0 to infinity. Only wanted=["albedo", "balance"] needs no radii.
     grid: the radii by a rule, in place of r. The request then lists no radii.
     evaluator: "f64" computes in double precision and "f32" in single precision. "lut" looks values
         up in a table in single precision. If a model is named, the default is "f64". "lut" takes
@@ -309,6 +309,7 @@ class _Evaluated:
 
     pdf = _Quantity("pdf", "[C, N] 1/mm: density of radii, 2 pi r R over the albedo.")
     albedo = _Quantity("albedo", "[C] float64: integral of 2 pi r R(r).")
+    balance = _Quantity("balance", "[C] with named fields: where the power goes that has entered.")
 
     def _quantity(self, name: str) -> Array:
         if name not in self.quantities:
@@ -317,7 +318,7 @@ class _Evaluated:
         return self.quantities[name]
 
     def _in_short(self, radii: str) -> str:
-        listed = (f"{name} {span(array)}" for name, array in self.quantities.items() if name != "r")
+        listed = (f"{name} {span(array)}" for name, array in self.quantities.items() if name not in ("r", "balance"))
         notes = f"; notes: {', '.join(self.notes)}" if self.notes else ""
         channels = counted(len(self.model_error), "medium", "media")
         return in_short(

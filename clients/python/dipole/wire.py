@@ -47,6 +47,7 @@ QUANTITY_PDF = 64
 QUANTITY_RING = 128
 QUANTITY_S = 256
 QUANTITY_MODEL_ERROR = 4096
+QUANTITY_BALANCE = 1048576
 # Quantities that a sample has for each radius and channel: the radii are among them.
 DRAWN = tuple(sorted((*ELEMENTWISE, QUANTITY_RADIUS)))
 SPACING_LIST = 1
