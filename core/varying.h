@@ -66,8 +66,7 @@ typedef struct core_varying {
 
   /* parameter of the scattering that the surface is made for: g, gamma - 1, or 0 for similarity */
   double table_g;
-  double gamma; /* parameters of core_varying_prepare(); NAN if not given */
-  double surface_albedo;
+  double gamma;                       /* parameters of core_varying_prepare(); NAN if not given */
   const struct core_kernels *kernels; /* kernels of the model */
   /* kernels that every model uses, for checks and colours */
   const struct core_kernels *check_kernels;

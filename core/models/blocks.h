@@ -28,8 +28,8 @@ enum { BLOCK_LANES = 32 };
   }
 
 /* BLOCK_KERNEL(name, begin, sum_up, finish) defines a kernel as in core/kernels.h. For each radius
- * r in mm, x = begin(c, r) is the argument of the sum, sum_up is a function that BLOCK_SUM made,
- * and out = finish(c, r, x, sum). */
+ * r in mm, x = begin(c, r) is the argument of the sum, sum_up is a function such as BLOCK_SUM
+ * makes, and out = finish(c, r, x, sum). */
 #define BLOCK_KERNEL(name, begin, sum_up, finish)                                                  \
   static void name(const double *restrict c, size_t n, const double *restrict r,                   \
                    double *restrict out) {                                                         \

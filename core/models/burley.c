@@ -291,7 +291,6 @@ CORE_KERNEL(sample, burley_sample)
 LANES_KERNEL(varying_R, COEFFICIENTS, lane_fill, zero_R, INFINITY)
 LANES_KERNEL(varying_cdf, COEFFICIENTS, lane_fill, zero_cdf, INFINITY)
 LANES_KERNEL(varying_albedo, COEFFICIENTS, lane_fill, burley_albedo, INFINITY)
-LANES_KERNEL(varying_ln_R, COEFFICIENTS, lane_fill, burley_ln_R, INFINITY)
 LANES_GRADIENT(varying_gradient, COEFFICIENTS, lane_fill, burley_ln_R, burley_derivatives)
 LANES_KERNEL(varying_sample, COEFFICIENTS, lane_fill, burley_sample, 1)
 

@@ -639,7 +639,6 @@ static inline real dipole_albedo(const real *c, real r) {
 LANES_KERNEL(varying_R, COEFFICIENTS, lane_fill, dipole_R, INFINITY)
 LANES_KERNEL(varying_cdf, COEFFICIENTS, lane_fill, dipole_cdf, INFINITY)
 LANES_KERNEL(varying_albedo, COEFFICIENTS, lane_fill, dipole_albedo, INFINITY)
-LANES_KERNEL(varying_ln_R, COEFFICIENTS, lane_fill, dipole_ln_R, INFINITY)
 #if CORE_REAL == 64
 LANES_GRADIENT(varying_gradient, COEFFICIENTS, lane_fill, dipole_ln_R, dipole_derivatives)
 #endif

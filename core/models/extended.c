@@ -61,36 +61,34 @@ enum coefficient {
 #if CORE_REAL == 64
 
 #include "core/gauss.h"
+#include "core/models/blocks.h"
 #include "core/models/energy.h"
 
 /* the integral ends at this depth; light from deeper is less than a rounding error */
 #define DEPTH 38.0
 #define FAR 1e100
 
-enum { LANES = 32, PANELS = 5 };
+enum { PANELS = 5 };
 
-/* A block of radii x in mean free paths, and for each radius the ends in t = asinh(z / x) of the
- * panels over the depth z. */
-struct block {
-  double x[LANES]; /* radii, limited to LEAST to FAR */
-  double edge[PANELS + 1][LANES];
-};
+/* Returns a radius in mean free paths, limited to LEAST to FAR. */
+static inline double kept_radius(const double *c, double r) {
+  return real_min(real_max(r * c[MFP_PER_MM], LEAST), FAR);
+}
 
-static void set_block(const double *c, size_t n, const double *r, struct block *b) {
+/* Sets for each radius the ends in t = asinh(z / x) of the panels over the depth z. */
+static void set_edges(size_t n, const double *x, double edge[PANELS + 1][BLOCK_LANES]) {
   for (size_t i = 0; i < n; i++) {
-    const double x = real_min(real_max(r[i] * c[MFP_PER_MM], LEAST), FAR);
-    const double y = DEPTH / x;
+    const double y = DEPTH / x[i];
     /* asinh(y) is less than y and less than ln(1 + 2 y). For a small y the logarithm would round to
      * 0, so y is used. */
     const double end = y < 1 ? y : real_min(y, real_log(1 + 2 * y, 0));
     const double fifth = 0.2 * end;
-    b->x[i] = x;
-    b->edge[0][i] = 0;
-    b->edge[1][i] = real_min(fifth, 2.5);
-    b->edge[2][i] = real_min(2 * fifth, 7);
-    b->edge[3][i] = end - real_min(2 * fifth, 9);
-    b->edge[4][i] = end - real_min(fifth, 3.5);
-    b->edge[5][i] = end;
+    edge[0][i] = 0;
+    edge[1][i] = real_min(fifth, 2.5);
+    edge[2][i] = real_min(2 * fifth, 7);
+    edge[3][i] = end - real_min(2 * fifth, 9);
+    edge[4][i] = end - real_min(fifth, 3.5);
+    edge[5][i] = end;
   }
 }
 
@@ -197,20 +195,22 @@ static inline double energy_integrand(const double *c, double x, double t) {
  * t) over t for each radius of a block. The loop over radii is innermost, so that compilers
  * vectorize it. */
 #define INTEGRATE(name, integrand)                                                                 \
-  static void name(const double *c, size_t n, const struct block *b, double *sum) {                \
+  static void name(const double *c, size_t n, const double *x, double *sum) {                      \
+    double edge[PANELS + 1][BLOCK_LANES];                                                          \
+    set_edges(n, x, edge);                                                                         \
     for (size_t i = 0; i < n; i++) {                                                               \
       sum[i] = 0;                                                                                  \
     }                                                                                              \
     for (int panel = 0; panel < PANELS; panel++) {                                                 \
-      const double *from = b->edge[panel];                                                         \
-      const double *to = b->edge[panel + 1];                                                       \
+      const double *from = edge[panel];                                                            \
+      const double *to = edge[panel + 1];                                                          \
       for (int k = 0; k < 2 * CORE_GAUSS_HALF; k++) {                                              \
         const double node = core_gauss_node(k);                                                    \
         const double weight = core_gauss_weight(k);                                                \
         for (size_t i = 0; i < n; i++) {                                                           \
           const double width = to[i] - from[i];                                                    \
           const double t = real_fma(width, node, from[i]);                                         \
-          sum[i] = real_fma(weight * width, integrand(c, b->x[i], t), sum[i]);                     \
+          sum[i] = real_fma(weight * width, integrand(c, x[i], t), sum[i]);                        \
         }                                                                                          \
       }                                                                                            \
     }                                                                                              \
@@ -219,25 +219,6 @@ static inline double energy_integrand(const double *c, double x, double t) {
 INTEGRATE(integrate_R, R_integrand)
 INTEGRATE(integrate_slope, slope_integrand)
 INTEGRATE(integrate_energy, energy_integrand)
-
-/* KERNEL(name, integrate, finish) defines a kernel as in core/kernels.h. finish(c, x, radius, sum)
- * returns the quantity. `radius` is the radius in mean free paths, x is the same kept between LEAST
- * and FAR, and `sum` is the integral at x. */
-#define KERNEL(name, integrate, finish)                                                            \
-  static void name(const double *restrict c, size_t n, const double *restrict r,                   \
-                   double *restrict out) {                                                         \
-    for (size_t done = 0; done < n; done += LANES) {                                               \
-      const size_t count = n - done < LANES ? n - done : LANES;                                    \
-      struct block b;                                                                              \
-      double sum[LANES];                                                                           \
-      set_block(c, count, r + done, &b);                                                           \
-      integrate(c, count, &b, sum);                                                                \
-      for (size_t i = 0; i < count; i++) {                                                         \
-        /* adding 0 turns -0 into 0 */                                                             \
-        out[done + i] = finish(c, b.x[i], r[done + i] * c[MFP_PER_MM] + 0, sum[i]);                \
-      }                                                                                            \
-    }                                                                                              \
-  }
 
 /* Returns the integral at `radius`, given the integral `sum` at x. They differ only for variant 1
  * below LEAST, where the integral rises in proportion to 4 C_E ln(1 / x). */
@@ -248,7 +229,8 @@ static inline double risen(const double *c, double x, double radius, double sum)
 
 /* Returns R in 1/mm^2. For variant 0 x times the integral has a finite limit at x = 0, so below
  * LEAST mean free paths R is continued in proportion to 1 / radius. */
-static inline double finish_R(const double *c, double x, double radius, double near_sum) {
+static inline double finish_R(const double *c, double r, double x, double near_sum) {
+  const double radius = r * c[MFP_PER_MM];
   const double far = real_min(x / radius, 1);
   const double near = c[KAPPA] > 0 && radius > 0 ? 1 : real_max(x / radius, 1);
   const double sum = risen(c, x, radius, near_sum);
@@ -256,7 +238,8 @@ static inline double finish_R(const double *c, double x, double radius, double n
   return c[CDF_LIMIT] > 0 ? R : 0;
 }
 
-static inline double finish_slope(const double *c, double x, double radius, double sum) {
+static inline double finish_slope(const double *c, double r, double x, double sum) {
+  const double radius = r * c[MFP_PER_MM];
   const double apart = x / radius;
   const double near = c[KAPPA] > 0 ? apart : apart * apart;
   const double factor = radius > x ? (apart * apart) * (apart * apart) : near;
@@ -264,7 +247,8 @@ static inline double finish_slope(const double *c, double x, double radius, doub
   return c[CDF_LIMIT] > 0 ? slope : 0;
 }
 
-static inline double finish_ln_R(const double *c, double x, double radius, double near_sum) {
+static inline double finish_ln_R(const double *c, double r, double x, double near_sum) {
+  const double radius = r * c[MFP_PER_MM];
   const double sum = risen(c, x, radius, near_sum);
   const double near = c[KAPPA] > 0 ? 1 : real_min(radius / x, 1);
   const double inside = real_log(c[R_SCALE] * sum, 0) - c[MU] * x;
@@ -273,15 +257,16 @@ static inline double finish_ln_R(const double *c, double x, double radius, doubl
   return c[CDF_LIMIT] > 0 ? (radius > 0 ? bounded : (double)INFINITY) : -(double)INFINITY;
 }
 
-static inline double finish_cdf(const double *c, double x, double radius, double sum) {
+static inline double finish_cdf(const double *c, double r, double x, double sum) {
+  const double radius = r * c[MFP_PER_MM];
   const double inside = real_min(c[CDF_SCALE] * sum, REAL_BELOW_1);
   return radius > c[CDF_WHOLE] ? c[CDF_LIMIT] : inside * real_min(radius / x, 1);
 }
 
-KERNEL(eval_R, integrate_R, finish_R)
-KERNEL(eval_slope, integrate_slope, finish_slope)
-KERNEL(eval_ln_R, integrate_R, finish_ln_R)
-KERNEL(eval_cdf_closed, integrate_energy, finish_cdf)
+BLOCK_KERNEL(eval_R, kept_radius, integrate_R, finish_R)
+BLOCK_KERNEL(eval_slope, kept_radius, integrate_slope, finish_slope)
+BLOCK_KERNEL(eval_ln_R, kept_radius, integrate_R, finish_ln_R)
+BLOCK_KERNEL(eval_cdf_closed, kept_radius, integrate_energy, finish_cdf)
 
 static void eval_cdf(const double *restrict c, size_t n, const double *restrict r,
                      double *restrict out) {

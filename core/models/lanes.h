@@ -195,7 +195,6 @@ static inline struct lane lane_of_medium(double *shared, int variant, enum core_
   .varying = {                                                                                     \
       [CORE_ELEMENTWISE_R] = varying_R,                                                            \
       [CORE_ELEMENTWISE_CDF] = varying_cdf,                                                        \
-      [CORE_ELEMENTWISE_LN_R] = varying_ln_R,                                                      \
   }
 
 #endif

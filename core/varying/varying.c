@@ -148,7 +148,6 @@ core_fault core_surface_begin(core_varying *varying, const core_isa *isa, unsign
       .kernels = family == TRANSPORT ? core_isa_surface_kernels(isa) : core_isa_kernels(isa, model),
       .check_kernels = core_isa_varying_kernels(isa),
       .gamma = parameters->value[CORE_PARAMETER_GAMMA],
-      .surface_albedo = parameters->value[CORE_PARAMETER_SURFACE_ALBEDO],
   };
   set_scattering(varying, family);
   share(varying, family, variant, parameters);
