@@ -13,24 +13,11 @@ static const struct cost {
   double prepare_ns;
   double prepare_lut_ns;
 } costs[] = {
-#define CORE_COST(model, f64, f32, prepare, prepare_lut) {model, {f64, f32}, prepare, prepare_lut},
-#include "core/costs.def"
-};
+#define COST(model, f64, f32, prepare, prepare_lut) {model, {f64, f32}, prepare, prepare_lut},
+    CORE_EACH_COST(COST)};
 
-const unsigned core_costed_models[] = {
-#define CORE_COST(model, f64, f32, prepare, prepare_lut) model,
-#include "core/costs.def"
-    0};
-
-static const double lut_ns =
-#define CORE_COST_LUT(lut) lut
-#include "core/costs.def"
-    ;
-
-static const double solve_ns =
-#define CORE_COST_SOLVE(solve) solve
-#include "core/costs.def"
-    ;
+#define MODEL(model, ...) model,
+const unsigned core_costed_models[] = {CORE_EACH_COST(MODEL) 0};
 
 enum {
   FOLLOWS_R = CORE_QUANTITY_R | CORE_QUANTITY_RING | CORE_QUANTITY_S | CORE_QUANTITY_SLOPE |
@@ -189,10 +176,11 @@ static double value_count(const core_choose_request *request) {
 static void finish_candidate(core_candidate *candidate, const core_choose_request *request) {
   const struct cost *cost = cost_of(candidate->model);
   const bool lut = candidate->evaluator == CORE_EVALUATOR_LUT;
-  candidate->cost_ns = lut ? lut_ns : cost->radius_ns[candidate->evaluator == CORE_EVALUATOR_F32];
+  candidate->cost_ns =
+      lut ? CORE_COST_LUT_NS : cost->radius_ns[candidate->evaluator == CORE_EVALUATOR_F32];
   candidate->prepare_ns = lut ? cost->prepare_lut_ns : cost->prepare_ns;
   if (!candidate->looked_up) {
-    candidate->prepare_ns += solve_ns;
+    candidate->prepare_ns += CORE_COST_SOLVE_NS;
   }
   candidate->error =
       candidate->model_error + (1 + candidate->model_error) * candidate->numerical_error;

@@ -12,13 +12,14 @@
 #define DIPOLED_CORE_CHOOSE_H
 
 #include "core/core.h"
+#include "core/costs.def"
 
 /* A request for a model and an evaluator. */
 typedef struct core_choose_request {
   const core_medium *media; /* one for each channel; they all get the same model */
   size_t media_count;       /* at least 1 */
-  uint32_t layer_count; /* of each medium: media[media_count * layer_count] */
-  double eta_below;     /* as the parameter; NAN: not given */
+  uint32_t layer_count;     /* of each medium: media[media_count * layer_count] */
+  double eta_below;         /* as the parameter; NAN: not given */
   unsigned wanted;          /* bits of enum core_quantity */
   core_radii_range radii;   /* read only if an elementwise quantity is wanted */
   uint64_t radius_count;    /* number of radii, the same for each medium */
@@ -48,9 +49,8 @@ typedef struct core_candidate {
 
 enum {
   CORE_TRANSPORT_CANDIDATES = 2,
-  CORE_CANDIDATES_MAX = 0
-#define CORE_COST(model, f64, f32, prepare, prepare_lut) +2
-#include "core/costs.def"
+#define CORE_TWO(...) +2
+  CORE_CANDIDATES_MAX = 0 CORE_EACH_COST(CORE_TWO)
 };
 
 /* Lists `transport` with every evaluator of the precision that is requested and returns their

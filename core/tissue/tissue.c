@@ -8,24 +8,12 @@
 #define END                                                                                        \
   { 0, NULL, NULL }
 
-const core_choice core_properties[] = {
-#define CORE_PROPERTY(id, IDENT, name, least, most, usual, about)                                  \
+#define PROPERTY(P, id, IDENT, name, about, least, most, usual)                                    \
   {id, name, about " (" #least " to " #most ")"},
-#include "core/tissue/tissue.def"
-    END,
-};
-
-const core_choice core_haemoglobins[] = {
-#define CORE_HAEMOGLOBIN(id, IDENT, name, source) {id, name, source},
-#include "core/tissue/tissue.def"
-    END,
-};
-
-const core_choice core_tissues[] = {
-#define CORE_TISSUE(id, IDENT, name, source, ...) {id, name, source},
-#include "core/tissue/tissue.def"
-    END,
-};
+const core_choice core_properties[] = {CORE_EACH_PROPERTY(PROPERTY, ) END};
+#define ENTRY(P, id, IDENT, name, source, ...) {id, name, source},
+const core_choice core_haemoglobins[] = {CORE_EACH_HAEMOGLOBIN(ENTRY, ) END};
+const core_choice core_tissues[] = {CORE_EACH_TISSUE(ENTRY, ) END};
 
 /* ---- spectra --------------------------------------------------------------------------------- */
 
@@ -108,22 +96,16 @@ core_fault core_chromophore_at(enum core_property chromophore, enum core_haemogl
 /* ---- tissues --------------------------------------------------------------------------------- */
 
 core_tissue core_tissue_named(unsigned id) {
-  enum {
-#define CORE_PROPERTY(id, IDENT, name, least, most, usual, about) IDENT = CORE_PROPERTY_##IDENT,
-#include "core/tissue/tissue.def"
-  };
+#define IDENT_OF(P, id, IDENT, ...) IDENT = CORE_PROPERTY_##IDENT,
+#define USUAL_OF(P, id, IDENT, name, about, least, most, usual) [IDENT] = (double)(usual),
+#define VALUES_OF(P, id, IDENT, name, source, ...) {id, {__VA_ARGS__}},
+  enum { CORE_EACH_PROPERTY(IDENT_OF, ) };
   core_tissue tissue = {.haemoglobin = CORE_HAEMOGLOBIN_PRAHL,
-                        .value = {
-#define CORE_PROPERTY(id, IDENT, name, least, most, usual, about) [IDENT] = (double)(usual),
-#include "core/tissue/tissue.def"
-                        }};
+                        .value = {CORE_EACH_PROPERTY(USUAL_OF, )}};
   static const struct {
     unsigned id;
     double value[CORE_PROPERTIES_END]; /* 0: the usual value */
-  } named[] = {
-#define CORE_TISSUE(id, IDENT, name, source, ...) {id, {__VA_ARGS__}},
-#include "core/tissue/tissue.def"
-  };
+  } named[] = {CORE_EACH_TISSUE(VALUES_OF, )};
   for (size_t i = 0; i < sizeof named / sizeof named[0]; i++) {
     for (size_t k = 0; named[i].id == id && k < CORE_PROPERTIES_END; k++) {
       tissue.value[k] = named[i].value[k] > 0 ? named[i].value[k] : tissue.value[k];
@@ -138,10 +120,9 @@ core_fault core_tissue_check(const core_tissue *tissue) {
     double least, most;
     const char *name, *allowed, *needed;
   } ranges[] = {
-#define CORE_PROPERTY(id, IDENT, name, least, most, usual, about)                                  \
+#define RANGE_OF(P, id, IDENT, name, about, least, most, usual)                                    \
   {id, least, most, name, #least " to " #most, #least " to " #most ": it has to be given"},
-#include "core/tissue/tissue.def"
-  };
+      CORE_EACH_PROPERTY(RANGE_OF, )};
   for (size_t i = 0; i < sizeof ranges / sizeof ranges[0]; i++) {
     const double value = tissue->value[ranges[i].id];
     /* NaN is outside of every range */

@@ -12,19 +12,15 @@
 #define DIPOLED_CORE_TISSUE_H
 
 #include "core/core.h"
+#include "core/tissue/tissue.def"
 
 /* Ids from 1 to CORE_CHROMOPHORES_MAX are amounts of chromophores; others are not. */
 enum core_property {
-#define CORE_PROPERTY(id, IDENT, name, least, most, usual, about) CORE_PROPERTY_##IDENT = (id),
-#include "core/tissue/tissue.def"
-  CORE_PROPERTIES_END,
+  CORE_EACH_PROPERTY(CORE_ENUM, CORE_PROPERTY) CORE_PROPERTIES_END,
   CORE_CHROMOPHORES_MAX = 31
 };
 
-enum core_haemoglobin {
-#define CORE_HAEMOGLOBIN(id, IDENT, name, source) CORE_HAEMOGLOBIN_##IDENT = (id),
-#include "core/tissue/tissue.def"
-};
+enum core_haemoglobin { CORE_EACH_HAEMOGLOBIN(CORE_ENUM, CORE_HAEMOGLOBIN) };
 
 /* The wavelengths in nm of the scattering law, "good from 400 to 1300 nm" (Jacques 2013, p. R42). */
 #define CORE_SCATTERING_FROM_NM 400

@@ -100,15 +100,18 @@ def subjects_of(client: dipole.Client, figures: dict[str, float]) -> list[Subjec
 
 
 def write_costs(path: Path, subjects: list[Subject], solve_ns: float) -> None:
+    """Replaces the numbers and the rows of what stands there."""
     old = (CORE / "costs.def").read_text()
-    head, tail = old[: old.rindex("#endif") + 8], old[old.rindex("\n#undef CORE_COST\n") :]
     of_lut = float(np.median([one.ns for one in subjects if one.evaluator == "lut"]))
-    text = f"{head}CORE_COST_LUT({of_lut:.3g})\nCORE_COST_SOLVE({solve_ns:.2g})\n"
+    old = re.sub(r"(?<=LUT_NS )\S+", f"{of_lut:.3g}", old)
+    old = re.sub(r"(?<=SOLVE_NS )\S+", f"{solve_ns:.2g}", old)
+    lines = [old[old.rindex("\n#define") + 1 :].split("\n")[0].rstrip(" \\")]
     for f64, f32, lut in zip(*(iter(subjects),) * 3):
         numbers = (f64.ns, f32.ns, f64.prepare_ns, lut.prepare_ns)
         listed = ", ".join(f"{x:.3g}" for x in numbers)
-        text += f"CORE_COST({MODELS[f64.model][0]}, {listed}) /* {f64.model} */\n"
-    path.write_text(text + tail)
+        lines.append(f"  X({MODELS[f64.model][0]}, {listed}) /* {f64.model} */")
+    rows = "".join(f"{line:99}\\\n" for line in lines[:-1]) + lines[-1] + "\n"
+    path.write_text(old[: old.rindex("\n#define") + 1] + rows)
 
 
 # ---- the front -----------------------------------------------------------------------------------

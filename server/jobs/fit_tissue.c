@@ -147,10 +147,8 @@ static core_spectral_term term_of(const core_tissue *tissue, const wire_sought *
 
 /* Sets terms[id] of what is sought, and where its search starts in the tissue. */
 static wire_error take_sought(struct tissue_fit *of, core_spectral_term *terms) {
-  static const double most[CORE_PROPERTIES_END] = {
-#define CORE_PROPERTY(id, IDENT, name, least, most, usual, about) [id] = (most),
-#include "core/tissue/tissue.def"
-  };
+#define MOST_OF(P, id, IDENT, name, about, least, most, usual) [id] = (most),
+  static const double most[CORE_PROPERTIES_END] = {CORE_EACH_PROPERTY(MOST_OF, )};
   for (uint32_t i = 0; i < of->fixed.sought_count; i++) {
     wire_sought one;
     wire_get_sought(of->payload + of->layout.parts[SOUGHT].at + i * WIRE_BYTES_sought, &one);

@@ -302,11 +302,11 @@ static void assert_refused(enum core_property property, double value, const char
 }
 
 UNIT_TEST(refuses_what_is_no_tissue) {
-#define CORE_PROPERTY(id, IDENT, name, least, most, usual, about)                                  \
+#define REFUSES(P, id, IDENT, name, about, least, most, usual)                                     \
   assert_refused(CORE_PROPERTY_##IDENT, nextafter(least, -INFINITY), name);                        \
   assert_refused(CORE_PROPERTY_##IDENT, nextafter(most, INFINITY), name);                          \
   assert_refused(CORE_PROPERTY_##IDENT, (double)NAN, name);
-#include "core/tissue/tissue.def"
+  CORE_EACH_PROPERTY(REFUSES, )
   assert_refused(CORE_PROPERTY_VESSEL_RADIUS, .01, "vessel_radius_mm"); /* with whole blood */
 }
 
