@@ -742,9 +742,7 @@ static enum job_outcome step_mc(struct job *job, uint64_t *budget) {
   uv_mutex_unlock(&walk->pool->mutex);
   mc->progress.state = MC_UNDER_WAY;
   if (failed) {
-    return job_refuse(job, wire_error_busy(CORE_FIELD_MEMORY,
-                                           "less than the memory that is free: try again",
-                                           JOB_RETRY_AFTER_MS));
+    return job_refuse(job, job_no_memory());
   }
   job->part_bytes = mc->complete ? walk->task.layout.payload_bytes : WIRE_BYTES_mc_reply;
   return mc->complete || reports ? JOB_NEXT_PART : JOB_WAITS;

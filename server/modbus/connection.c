@@ -211,14 +211,10 @@ static void start_client(struct client *client) {
   const int bytes = SOCKET_BUFFER_BYTES;
   setsockopt(c->transport.fd, SOL_SOCKET, SO_RCVBUF, &bytes, sizeof bytes);
   setsockopt(c->transport.fd, SOL_SOCKET, SO_SNDBUF, &bytes, sizeof bytes);
-  modbus_units_join(c->units);
+  c->units->users++;
   if (transport_open(&c->transport)) {
     transport_set_reading(&c->transport, true);
   }
-}
-
-static void abort_client(struct client *client) {
-  transport_abort(transport_of(client));
 }
 
 static bool is_busy(const struct client *client) {
@@ -253,7 +249,7 @@ struct modbus_connection *modbus_connection_new(struct modbus_units *units, int 
       .finish = finish_turn,
       .tick = check_time,
       .stop = transport_drain,
-      .abort = abort_client,
+      .abort = transport_abort_client,
       .busy = is_busy,
   };
   struct modbus_connection *c = calloc(1, sizeof *c);

@@ -558,7 +558,7 @@ static void lose_device(struct modbus_line *line, const char *why) {
 
 static void start_client(struct client *client) {
   struct modbus_line *line = line_of(client);
-  modbus_units_join(line->units);
+  line->units->users++;
   uv_timer_init(&client->worker->loop, &line->timer);
   line->timer.data = line;
   line->open_handles = 1;

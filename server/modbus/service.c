@@ -22,23 +22,16 @@ struct modbus_service {
   size_t line_count;
 };
 
-static struct modbus_service *fail_to_start(struct modbus_service *service, const char *what,
-                                            const char *why) {
-  fprintf(stderr, "dipoled: %s: %s\n", what, why);
-  modbus_service_free(service);
-  return NULL;
-}
-
 struct modbus_service *modbus_service_new(struct server *server) {
   struct modbus_service *service = calloc(1, sizeof *service);
-  if (service == NULL) {
-    return fail_to_start(NULL, "--modbus", "out of memory");
+  struct modbus_units *units = service != NULL ? modbus_units_new(server) : NULL;
+  if (units == NULL) {
+    fprintf(stderr, "dipoled: --modbus: out of memory\n");
+    free(service);
+    return NULL;
   }
   service->server = server;
-  service->units = modbus_units_new(server);
-  if (service->units == NULL) {
-    return fail_to_start(service, "--modbus", "out of memory");
-  }
+  service->units = units;
   const struct options *options = &server->options;
   if (!access_read_option("modbus-allow", &options->modbus_allow, &access_this_machine,
                           &service->connect) ||

@@ -294,10 +294,6 @@ struct modbus_units *modbus_units_new(struct server *server) {
   return units;
 }
 
-void modbus_units_join(struct modbus_units *units) {
-  units->users++;
-}
-
 void modbus_units_leave(struct modbus_units *units, struct client *client) {
   struct modbus_unit *unit;
   cache_move_waiters(units->server->cache, &client->profiles, &units->client.profiles);

@@ -54,10 +54,9 @@ struct modbus_units *modbus_units_new(struct server *server);
 
 /* Call the functions that follow on the worker's thread only. */
 
-/* Call these when a connection or line begins and ends to use the units. After the end, its jobs go
- * on, because masters may come back for the results. Their slow profiles are prepared in the turns of
- * one client then. */
-void modbus_units_join(struct modbus_units *units);
+/* Call this when a connection or line, which has counted itself in `users`, ends to use the units. Its
+ * jobs go on, because masters may come back for the results. Their slow profiles are prepared in the
+ * turns of one client then. */
 void modbus_units_leave(struct modbus_units *units, struct client *client);
 
 /* Ends all jobs, and gives the registers of all units their defaults when they are next used. */

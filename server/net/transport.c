@@ -37,6 +37,10 @@ void transport_abort(struct transport *t) {
   }
 }
 
+void transport_abort_client(struct client *client) {
+  transport_abort(transport_of(client));
+}
+
 void transport_log_end(const struct transport *t, const char *reason) {
   char peer[TCP_TEXT_BYTES];
   tcp_peer(t->fd, peer);

@@ -110,6 +110,7 @@ bool transport_is_over(struct transport *transport, uint64_t now_ms);
 
 /* Ends the connection at once: closes the socket, and frees the session. */
 void transport_abort(struct transport *transport);
+void transport_abort_client(struct client *client);
 
 /* Logs why the connection ends. */
 void transport_log_end(const struct transport *transport, const char *reason);

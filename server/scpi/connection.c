@@ -196,10 +196,6 @@ static void stop_client(struct client *client) {
   transport_drain(client);
 }
 
-static void abort_client(struct client *client) {
-  transport_abort(transport_of(client));
-}
-
 static bool is_busy(const struct client *client) {
   const struct scpi_connection *c = (const struct scpi_connection *)(const void *)client;
   return !c->transport.closing && (c->transport.unsent.len > 0 || c->message_bytes > 0);
@@ -238,7 +234,7 @@ struct scpi_connection *scpi_connection_new(struct server *server, int fd) {
       .finish = finish_turn,
       .tick = check_time,
       .stop = stop_client,
-      .abort = abort_client,
+      .abort = transport_abort_client,
       .busy = is_busy,
       .counts = true,
   };
