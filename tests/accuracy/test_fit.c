@@ -21,6 +21,19 @@ static size_t sets(void) {
 
 /* ---- designs --------------------------------------------------------------------------------- */
 
+/* Where readings come from: profiles, as `eval` gives them, or the design's own model. */
+enum source { PROFILES, OWN };
+
+struct recovery {
+  unsigned model, axis;
+  double g;
+  size_t sets;
+  unsigned scale;
+  enum source source;
+  size_t media;  /* that are fitted with one design */
+  double errors; /* of the readings, relative */
+};
+
 struct subject {
   core_fit_design design;
   core_medium medium;
@@ -29,11 +42,15 @@ struct subject {
   double errors[READINGS];
 };
 
+/* Sets the readings to a profile's values, of a medium with the design's g and the same sigma_s'. */
 static void evaluate(struct subject *subject) {
   core_profile profile;
   const core_fit_design *design = &subject->design;
+  core_medium medium = subject->medium;
+  medium.g = design->g;
+  medium.sigma_s_per_mm /= 1 - design->g;
   unit_assert_fault(core_profile_prepare(&profile, core_isa_select(NULL), design->model,
-                                         design->moments, CORE_EVALUATOR_F64, &subject->medium,
+                                         design->moments, CORE_EVALUATOR_F64, &medium,
                                          design->parameters),
                     NULL, 0);
   core_eval_f64(&profile,
@@ -42,26 +59,28 @@ static void evaluate(struct subject *subject) {
   core_profile_free(&profile);
 }
 
-/* A random medium, and four or more random distances from 0.1 to 10 transport mean free paths. */
-static void draw(struct subject *subject, unsigned model, unsigned scale, uint64_t *random) {
+/* A random medium, and four or more random distances from 0.1 to 10 transport mean free paths, or
+ * spatial frequencies. */
+static void draw(struct subject *subject, const struct recovery *of, uint64_t *random) {
   const double ratio = unit_random_log(random, 1e-4, 3);
   const double scattering = unit_random_log(random, 0.1, 10);
   const double eta = unit_random_between(random, 1, 1.6);
   const double path = 1 / (scattering * (1 + ratio));
   subject->medium = (core_medium){ratio * scattering, scattering, 0, eta};
   subject->design = (core_fit_design){
-      .model = model,
+      .model = of->model,
       .moments = CORE_MOMENTS_EXACT,
+      .g = of->g,
       .eta = eta,
-      .axis = CORE_FIT_AXIS_RADIUS,
+      .axis = of->axis,
       .count = 4 + unit_random_below(random, READINGS - 3),
       .at = subject->at,
-      .scale = scale,
+      .scale = of->scale,
   };
   for (size_t i = 0; i < subject->design.count; i++) {
-    subject->at[i] = path * unit_random_log(random, 0.1, 10);
+    const double r = path * unit_random_log(random, 0.1, 10);
+    subject->at[i] = of->axis == CORE_FIT_AXIS_RADIUS ? r : i == 0 ? 0 : 0.05 / r;
   }
-  evaluate(subject);
 }
 
 /* Another random medium for the same design: of the same transport mean free path. */
@@ -129,98 +148,86 @@ static bool is_undetermined(const core_fit_result *result) {
           c->s_s >= pow(CORE_FIT_LN_ERROR_MAX * result->best.sigma_s_prime_per_mm, 2));
 }
 
-static void expect_recovery(unsigned model, unsigned scale) {
-  uint64_t random = unit_seed();
-  size_t told = 0;
-  double worst = 0;
-  const size_t count = sets();
-  for (size_t i = 0; i < count; i++) {
-    struct subject subject;
-    draw(&subject, model, scale, &random);
-    set_errors(&subject, 0.01);
-    const core_fit_result result = fitted(&subject);
-    const double error = off(&subject, &result.best);
-    told += result.status == CORE_FIT_STATUS_FITTED;
-    worst = is_undetermined(&result) ? worst : fmax(worst, error);
-    if (!is_undetermined(&result) && !(error < 1e-6)) {
-      print_error(
-          "set %zu, %zu readings, sigma_a %.9g, sigma_s' %.9g, eta %.4f: %.9g, %.9g, status "
-          "%d, chi-squared %.3g, condition %.3g second %.3g evals %u\n",
-          i, subject.design.count, subject.medium.sigma_a_per_mm, subject.medium.sigma_s_per_mm,
-          subject.medium.eta, result.best.sigma_a_per_mm, result.best.sigma_s_prime_per_mm,
-          (int)result.status, result.best.chi_squared, result.condition, result.second.chi_squared,
-          result.evaluations);
-    }
-  }
-  printf("%s, scale %u: off by %.2g at most; %zu of %zu fitted\n",
-         core_choice_by_id(core_models, model)->name, scale, worst, told, count);
-  assert_true(worst < 1e-6);
-}
-
-UNIT_TEST(dipoles_come_back) {
-  expect_recovery(CORE_MODEL_BETTER, CORE_FIT_SCALE_ABSOLUTE);
-  expect_recovery(CORE_MODEL_CLASSICAL, CORE_FIT_SCALE_ABSOLUTE);
-  expect_recovery(CORE_MODEL_BETTER, CORE_FIT_SCALE_FREE);
-  expect_recovery(CORE_MODEL_BURLEY, CORE_FIT_SCALE_ABSOLUTE);
-}
-
-/* ---- what a design models -------------------------------------------------------------------- */
-
-/* Draws a medium and a design, and takes the readings from the design's own model. */
-static core_fit *draw_own(struct subject *subject, unsigned model, unsigned axis, double g,
-                          uint64_t *random) {
-  draw(subject, CORE_MODEL_BETTER, CORE_FIT_SCALE_ABSOLUTE, random);
-  subject->design.model = model;
-  subject->design.axis = axis;
-  subject->design.g = g;
-  if (axis == CORE_FIT_AXIS_FREQUENCY) {
-    for (size_t i = 0; i < subject->design.count; i++) {
-      subject->at[i] = i == 0 ? 0 : 0.05 / subject->at[i];
-    }
-  }
-  core_fit *fit = created(&subject->design);
-  fit_model_readings(fit, subject->medium.sigma_a_per_mm, subject->medium.sigma_s_per_mm,
-                     subject->values);
-  return fit;
-}
-
-/* Fits readings of a design's own model and checks that the medium comes back. */
-static void expect_own_recovery(unsigned model, unsigned axis, double g, size_t count) {
+/* Fits random sets of readings and checks that their media come back. */
+static void expect_recovery(struct recovery of) {
   uint64_t random = unit_seed();
   double worst = 0;
   size_t told = 0;
   struct subject subject;
   core_fit *fit = NULL;
-  for (size_t i = 0; i < count; i++) {
-    core_fit_result result;
-    if (i % MEDIA == 0) {
+  for (size_t i = 0; i < of.sets; i++) {
+    if (i % of.media == 0) {
       core_fit_free(fit);
-      fit = draw_own(&subject, model, axis, g, &random);
+      draw(&subject, &of, &random);
+      fit = created(&subject.design);
     } else {
       redraw(&subject, &random);
+    }
+    core_fit_result result;
+    if (of.source == OWN) {
       fit_model_readings(fit, subject.medium.sigma_a_per_mm, subject.medium.sigma_s_per_mm,
                          subject.values);
+      set_errors(&subject, of.errors);
+      core_fit_run(fit, subject.values, subject.errors, &result, NULL);
+    } else {
+      evaluate(&subject);
+      set_errors(&subject, of.errors);
+      result = refined(fit, &subject);
     }
-    set_errors(&subject, 0.01);
-    core_fit_run(fit, subject.values, subject.errors, &result, NULL);
     const double error = off(&subject, &result.best);
     told += result.status == CORE_FIT_STATUS_FITTED;
     worst = is_undetermined(&result) ? worst : fmax(worst, error);
     if (!is_undetermined(&result) && !(error < 1e-6)) {
-      fail_msg("set %zu, axis %u, g %g: off by %.3g, status %d, condition %.3g, chi-squared %.3g",
-               i, axis, g, error, (int)result.status, result.condition, result.best.chi_squared);
+      print_error(
+          "set %zu, %s, axis %u, g %g: sigma_a %.9g, sigma_s' %.9g, eta %.4f, %zu readings: "
+          "off by %.3g, status %d, condition %.3g, chi-squared %.3g, second %.3g, %u evaluations\n",
+          i, core_choice_by_id(core_models, of.model)->name, of.axis, of.g,
+          subject.medium.sigma_a_per_mm, subject.medium.sigma_s_per_mm, subject.medium.eta,
+          subject.design.count, error, (int)result.status, result.condition,
+          result.best.chi_squared, result.second.chi_squared, result.evaluations);
     }
   }
   core_fit_free(fit);
-  printf("%s, axis %u, g %g: off by %.2g at most; %zu of %zu fitted\n",
-         core_choice_by_id(core_models, model)->name, axis, g, worst, told, count);
+  printf("%s, source %u, axis %u, g %g, scale %u: off by %.2g at most; %zu of %zu fitted\n",
+         core_choice_by_id(core_models, of.model)->name, of.source, of.axis, of.g, of.scale, worst,
+         told, of.sets);
+  assert_true(worst < 1e-6);
 }
 
+UNIT_TEST(dipoles_come_back) {
+#define DIPOLE(model, scale)                                                                       \
+  expect_recovery((struct recovery){CORE_MODEL_##model, CORE_FIT_AXIS_RADIUS, 0, sets(),           \
+                                    CORE_FIT_SCALE_##scale, PROFILES, 1, 0.01})
+  DIPOLE(BETTER, ABSOLUTE);
+  DIPOLE(CLASSICAL, ABSOLUTE);
+  DIPOLE(BETTER, FREE);
+  DIPOLE(BURLEY, ABSOLUTE);
+#undef DIPOLE
+}
+
+#define RECOVERY(model, axis, g, sets, source, errors)                                             \
+  expect_recovery((struct recovery){CORE_MODEL_##model, CORE_FIT_AXIS_##axis, g, sets,             \
+                                    CORE_FIT_SCALE_ABSOLUTE, source, MEDIA, errors})
+
 UNIT_TEST(transport_and_frequencies_come_back) {
-  expect_own_recovery(CORE_MODEL_BETTER, CORE_FIT_AXIS_FREQUENCY, 0, sets());
-  expect_own_recovery(CORE_MODEL_TRANSPORT, CORE_FIT_AXIS_RADIUS, 0, sets() / 3);
-  expect_own_recovery(CORE_MODEL_TRANSPORT, CORE_FIT_AXIS_RADIUS, 0.8, sets());
-  expect_own_recovery(CORE_MODEL_TRANSPORT, CORE_FIT_AXIS_FREQUENCY, 0.9, sets() / 3);
+  RECOVERY(BETTER, FREQUENCY, 0, sets(), OWN, 0.01);
+  RECOVERY(TRANSPORT, RADIUS, 0, sets() / 3, OWN, 0.01);
+  RECOVERY(TRANSPORT, RADIUS, 0.8, sets(), OWN, 0.01);
+  RECOVERY(TRANSPORT, FREQUENCY, 0.9, sets() / 3, OWN, 0.01);
+}
+
+/* Their errors are so small that a table would count. */
+UNIT_TEST(readings_of_profiles_come_back) {
+  RECOVERY(TRANSPORT, RADIUS, 0.8, sets() / 10, PROFILES, 1e-4);
+  RECOVERY(TRANSPORT, RADIUS, -0.3, sets() / 10, PROFILES, 1e-4);
+  RECOVERY(TRANSPORT, FREQUENCY, 0.9, sets() / 10, PROFILES, 1e-4);
+  RECOVERY(TRANSPORT, RADIUS, 0, sets() / 100, PROFILES, 1e-4);
+  RECOVERY(BETTER, FREQUENCY, 0, sets() / 3, PROFILES, 1e-4);
+  RECOVERY(BURLEY, FREQUENCY, 0, sets() / 3, PROFILES, 1e-4);
+  RECOVERY(EXTENDED, RADIUS, 0, sets() / 30, PROFILES, 1e-4);
+  RECOVERY(QUANTIZED, RADIUS, 0, sets() / 30, PROFILES, 1e-4);
+  RECOVERY(BEAM, RADIUS, 0, sets() / 30, PROFILES, 1e-4);
+  RECOVERY(BETTER_SINGLE, RADIUS, 0, sets() / 30, PROFILES, 1e-4);
 }
 
 /* A medium that absorbs hardly anything, seen close by: along the valley of media that fit, chi-squared
@@ -247,67 +254,6 @@ UNIT_TEST(flat_valleys_are_not_left_at_their_end) {
   core_fit_free(fit);
   assert_true(off(&subject, &result.best) < 1e-6);
   assert_true(result.best.chi_squared < 1e-12);
-}
-
-/* Readings of profiles, as `eval` gives them, come back, if their errors are so small that a table
- * would count. */
-static void expect_exact_recovery(unsigned model, unsigned axis, double g, size_t count) {
-  uint64_t random = unit_seed();
-  double worst = 0;
-  size_t told = 0, most = 0;
-  struct subject subject;
-  core_fit *fit = NULL;
-  for (size_t i = 0; i < count; i++) {
-    if (i % MEDIA == 0) {
-      core_fit_free(fit);
-      draw(&subject, CORE_MODEL_BETTER, CORE_FIT_SCALE_ABSOLUTE, &random);
-      subject.design.model = model;
-      subject.design.axis = axis;
-      for (size_t k = 0; k < subject.design.count && axis == CORE_FIT_AXIS_FREQUENCY; k++) {
-        subject.at[k] = k == 0 ? 0 : 0.05 / subject.at[k];
-      }
-      subject.design.g = g;
-      fit = created(&subject.design);
-    } else {
-      redraw(&subject, &random);
-    }
-    const core_medium reduced = subject.medium;
-    subject.medium.g = g;
-    subject.medium.sigma_s_per_mm /= 1 - g;
-    evaluate(&subject);
-    subject.medium = reduced;
-    set_errors(&subject, 1e-4);
-    const core_fit_result result = refined(fit, &subject);
-    const double error = off(&subject, &result.best);
-    told += result.status == CORE_FIT_STATUS_FITTED;
-    most = result.evaluations > most ? result.evaluations : most;
-    worst = is_undetermined(&result) ? worst : fmax(worst, error);
-    if (!is_undetermined(&result) && !(error < 1e-6)) {
-      print_error(
-          "set %zu, %s, axis %u, g %g: sigma_a %.6g, sigma_s' %.6g, eta %.4f, %zu readings: "
-          "off by %.3g, status %d, condition %.3g, chi-squared %.3g, %u evaluations\n",
-          i, core_choice_by_id(core_models, model)->name, axis, g, subject.medium.sigma_a_per_mm,
-          subject.medium.sigma_s_per_mm, subject.medium.eta, subject.design.count, error,
-          (int)result.status, result.condition, result.best.chi_squared, result.evaluations);
-    }
-  }
-  core_fit_free(fit);
-  printf("%s of profiles, axis %u, g %g: off by %.2g at most; %zu of %zu fitted\n",
-         core_choice_by_id(core_models, model)->name, axis, g, worst, told, count);
-  assert_true(worst < 1e-6);
-}
-
-UNIT_TEST(readings_of_profiles_come_back) {
-  expect_exact_recovery(CORE_MODEL_TRANSPORT, CORE_FIT_AXIS_RADIUS, 0.8, sets() / 10);
-  expect_exact_recovery(CORE_MODEL_TRANSPORT, CORE_FIT_AXIS_RADIUS, -0.3, sets() / 10);
-  expect_exact_recovery(CORE_MODEL_TRANSPORT, CORE_FIT_AXIS_FREQUENCY, 0.9, sets() / 10);
-  expect_exact_recovery(CORE_MODEL_TRANSPORT, CORE_FIT_AXIS_RADIUS, 0, sets() / 100);
-  expect_exact_recovery(CORE_MODEL_BETTER, CORE_FIT_AXIS_FREQUENCY, 0, sets() / 3);
-  expect_exact_recovery(CORE_MODEL_BURLEY, CORE_FIT_AXIS_FREQUENCY, 0, sets() / 3);
-  expect_exact_recovery(CORE_MODEL_EXTENDED, CORE_FIT_AXIS_RADIUS, 0, sets() / 30);
-  expect_exact_recovery(CORE_MODEL_QUANTIZED, CORE_FIT_AXIS_RADIUS, 0, sets() / 30);
-  expect_exact_recovery(CORE_MODEL_BEAM, CORE_FIT_AXIS_RADIUS, 0, sets() / 30);
-  expect_exact_recovery(CORE_MODEL_BETTER_SINGLE, CORE_FIT_AXIS_RADIUS, 0, sets() / 30);
 }
 
 /* The table of a model against profiles of single media, R and R(f). */
@@ -535,8 +481,6 @@ static void space_out(struct subject *subject, size_t count) {
   evaluate(subject);
 }
 
-/* A set is implausible from that chi-squared on whose probability is 1e-6. For 2 and 10 readings more
- * than unknowns the limits follow from e^(-x / 2) sum (x / 2)^i / i!, for 1 from tables. */
 /* A walk that counts the light within an aperture alone gives back its coefficients within three of
  * their standard errors, with the scale absolute, so that the share counts, too. */
 static void expect_aperture(double ratio, double g, double eta, double NA, uint64_t batches) {
@@ -639,6 +583,8 @@ UNIT_TEST(apertures_of_designs) {
   }
 }
 
+/* A set is implausible from that chi-squared on whose probability is 1e-6. For 2 and 10 readings more
+ * than unknowns the limits follow from e^(-x / 2) sum (x / 2)^i / i!, for 1 from tables. */
 UNIT_TEST(wrong_errors_are_implausible) {
   static const struct {
     size_t readings;

@@ -163,36 +163,6 @@ UNIT_TEST(the_energy_is_the_albedo) {
 
 /* ---- scattering that is not isotropic ------------------------------------------------------- */
 
-/* Between the smallest albedos that the table was made from, where series without the ends of the
- * range were up to 1.4e-2 off: whatever is stated, R is within 1e-3. */
-UNIT_TEST(media_without_absorption_are_exact) {
-  enum { BOUNDARIES = 3 };
-  static const double media[][2] = {{1e-4, -0.489}, {1.5e-6, -0.498}, {1.9e-6, -0.131}};
-  static const double etas[BOUNDARIES] = {0.8, 1.5, 2.19};
-  for (size_t m = 0; m < sizeof media / sizeof media[0]; m++) {
-    const solver_phase phase = {media[m][1], 0, NULL};
-    double worst = 0;
-    solver_solution *solution;
-    unit_assert_fault(
-        solver_solve(&solution, core_isa_select(NULL), media[m][0], &phase, etas, BOUNDARIES, 1e-3),
-        NULL, 0);
-    for (size_t i = 0; i < BOUNDARIES; i++) {
-      transport_series series;
-      transport_table_look_up(transport_table_shipped(), 1 / (1 + media[m][0]), phase.g, etas[i],
-                              &series);
-      for (double x = 0.05; x < 200; x *= 1.3) {
-        const transport_number R = solver_at(solution, i, x);
-        const double y = log(x), ln_xR = transport_series_at(&series, y) - series.kappa * x;
-        const double off = fabs(exp(ln_xR - y) / R.value - 1);
-        assert_true(off <= 1e-3 + R.error / R.value);
-        worst = fmax(worst, off);
-      }
-    }
-    printf("ratio %g, g %g: off from the solver by at most %.2g\n", media[m][0], phase.g, worst);
-    solver_free(solution);
-  }
-}
-
 static double hold_total(double total, transport_number truth, double stated) {
   const double error = fabs(total - truth.value) / truth.value;
   assert_true(error <= stated + truth.error / truth.value);
