@@ -331,17 +331,6 @@ def assert_serves(connection: Connection) -> None:
     assert struct.unpack_from("<d", reply.payload, wire.EVAL_REPLY.bytes) == (1.0,)
 
 
-def refused(status: str, field: str, allowed: str, payloads: dict) -> dict[str, tuple]:
-    """Makes the arguments of assert_refused() for invalid payloads by name, which all get the same
-    error. A payload may be a pair with the index of the invalid medium or value; otherwise the
-    index is 0."""
-    cases = {}
-    for name, payload in payloads.items():
-        payload, index = payload if isinstance(payload, tuple) else (payload, 0)
-        cases[f"{field or status}: {name}"] = payload, status, field, allowed, index
-    return cases
-
-
 def assert_refused(connection: Connection, type: int, payload: bytes, *error) -> None:
     """Checks that the daemon answers the request with this error and goes on serving the
     connection."""

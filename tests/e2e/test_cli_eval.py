@@ -1,8 +1,7 @@
-"""`dipole eval`: the same numbers as a table, as CSV and as JSON, for all kinds of arguments."""
+"""`dipole eval`: which daemon it asks, and connections that are lost."""
 
 from __future__ import annotations
 
-import pytest
 from command_line import Proxy, dipole, eval_json
 from daemons import read_log_line
 
@@ -10,15 +9,6 @@ MEDIUM = ["--sigma-a", "0.01,0.1", "--sigma-s", "10", "--g", "0.9", "--eta", "1.
 
 
 # ---- daemons -------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("evaluator", ["f64", "f32", "lut"])
-def test_a_large_grid_comes_in_parts(daemon, evaluator):
-    small = daemon("--max-frame-bytes", "65536", "--max-part-bytes", "16384").url()
-    arguments = [*MEDIUM, "--wanted", "R,albedo,cdf", "--count", "20000", "--evaluator", evaluator]
-    whole = dipole("eval", "--format", "csv", *arguments).stdout
-    assert whole == dipole("eval", "--format", "csv", *arguments, "--connect", small).stdout
-    assert whole.count("\n") == 1 + 2 * 20000
 
 
 def test_the_daemon_is_named_by_option_or_environment(daemon):

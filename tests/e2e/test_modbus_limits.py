@@ -244,16 +244,6 @@ def test_a_refused_request_is_in_the_log(daemon):
     assert sum("event=modbus-request-refused" in line for line in one.log) == 3
 
 
-def test_a_list_of_networks(daemon):
-    allow = ["--modbus-allow", "10.0.0.0/8", "--modbus-allow", "127.0.0.9/32"]
-    one = daemon("--modbus", "tcp:0.0.0.0:0", *allow)
-    port = one.url("modbus-tcp").rsplit(":", 1)[1]
-    with Tcp(f"127.0.0.1:{port}", source="127.0.0.9") as master:
-        assert master.read(0, 1) == b"\0\0"
-    with Tcp(f"127.0.0.1:{port}", source="127.0.0.8") as master:
-        assert master.is_closed()
-
-
 WRITES = [
     struct.pack(">BHH", 5, 0, 0), struct.pack(">BHH", 6, 0, 0), struct.pack(">BHHBB", 15, 0, 1, 1, 0),
     struct.pack(">BHHBH", 16, 0, 1, 2, 0), struct.pack(">BHHH", 22, 0, 0, 0),

@@ -449,15 +449,6 @@ def test_address_from_the_environment(monkeypatch, shared):
         assert client.info.address == shared.url("tcp")
 
 
-def test_a_full_daemon_says_so(daemon):
-    one = daemon("--max-connections", "1")
-    with one.client() as first:
-        with pytest.raises(dipole.Refused) as caught:
-            dipole.Client(one.url(), retry_s=0)
-        assert caught.value.status == "busy" and caught.value.retry_after_ms > 0
-        assert first.ping() > 0
-
-
 def answer_with(data: bytes) -> tuple[str, threading.Thread]:
     """Starts a server that answers the first bytes of one connection with data, and closes it."""
     server = socket.create_server(("127.0.0.1", 0))
