@@ -3,25 +3,17 @@
  * order that core_gather_order() gives them. A sample of them is taken in runs of neighbours from all
  * over that order, and times are extrapolated; --long takes all of them at the tolerance 1e-2.
  *
- *   gather.prepare                    s, to prepare the sum
  *   gather.build                      s, a million points, one thread
- *   gather.bytes                      for each point
  *   gather.<tolerance>.query          us of processor time; so are all further figures in us
- *   gather.<tolerance>.million        s, a million points and queries on two threads, without build
- *   gather.<tolerance>.nodes, .points, .tested for each query
  *   gather.<tolerance>.worst          largest error found, relative
- *   gather.alone.query                us at 1e-2, if queries come in random order
- *   gather.plain.million              s, extrapolated from the plain sum at some queries
  *   gather.points.1e<n>.query         us at 1e-2, by the number of points, with as many queries
  *   gather.million.1e<n>.query        the same with a million queries: where points are denser than
  *                                     queries, fewer share a list
  *   gather.angle.<tolerance>.query    us, by the criterion of solid angle at equal measured error,
  *                                     down to the tolerance 1e-3: below, a query takes some 50 ms
  *   gather.angle.<tolerance>.worst    that error
- *   ratio.gather.<tolerance>          that over gathering by tolerance
  */
 #include <math.h>
-#include <pthread.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -31,7 +23,7 @@
 #include "core/splitmix.h"
 #include "tests/bench/bench.h"
 
-enum { CHANNELS = 3, MILLION = 1000000, THREADS = 2, RUN = 500, COMPARED = 200 };
+enum { CHANNELS = 3, MILLION = 1000000, RUN = 500, COMPARED = 200 };
 
 /* The processor time of this thread: what a query costs, on a machine that does other work too. */
 static uint64_t own_ns(void) {
@@ -147,73 +139,35 @@ static void free_queries(query_set *made) {
   free(made->M);
 }
 
-/* What one thread does: every `stride`th run of queries, from the run `first` on. */
-typedef struct share {
-  const scene *of;
-  const core_gather_sum *sum;
-  const query_set *queries;
-  size_t first, stride;
-  core_gather_visits visits;
-  uint64_t ns;
-} share;
-
-static void *gather_share(void *context) {
-  share *own = context;
-  const uint64_t start = own_ns();
-  core_gather_scratch *scratch = core_gather_scratch_create(own->sum, own->of->points);
-  for (size_t run = own->first; run < own->queries->n / RUN; run += own->stride) {
-    core_gather(own->sum, own->of->points, scratch, RUN, own->queries->order + run * RUN,
-                own->queries->xyz, own->queries->M, NULL, &own->visits);
-  }
-  core_gather_scratch_free(scratch);
-  own->ns = own_ns() - start;
-  return NULL;
-}
-
-/* Returns the seconds for runs on so many threads; each takes every `stride`th run. Sets *us to the
- * microseconds of a query. */
+/* Returns the microseconds of a query, in every `stride`th run. */
 static double gather_runs(const scene *of, const core_gather_sum *sum, const query_set *queries,
-                          size_t threads, size_t stride, core_gather_visits *visits, double *us) {
-  pthread_t thread[THREADS];
-  share shares[THREADS];
-  const uint64_t start = bench_now_ns();
-  for (size_t i = 0; i < threads; i++) {
-    shares[i] = (share){of, sum, queries, i * stride / threads, stride, {0, 0, 0, 0}, 0};
-    if (pthread_create(&thread[i], NULL, gather_share, &shares[i]) != 0) {
-      bench_fail("no thread could be started");
-    }
+                          size_t stride) {
+  core_gather_visits visits = {0, 0, 0, 0};
+  core_gather_scratch *scratch = core_gather_scratch_create(sum, of->points);
+  const uint64_t start = own_ns();
+  for (size_t run = 0; run < queries->n / RUN; run += stride) {
+    core_gather(sum, of->points, scratch, RUN, queries->order + run * RUN, queries->xyz, queries->M,
+                NULL, &visits);
   }
-  *visits = (core_gather_visits){0, 0, 0, 0};
-  uint64_t ns = 0;
-  for (size_t i = 0; i < threads; i++) {
-    pthread_join(thread[i], NULL);
-    visits->queries += shares[i].visits.queries;
-    visits->nodes += shares[i].visits.nodes;
-    visits->points += shares[i].visits.points;
-    visits->tested += shares[i].visits.tested;
-    ns += shares[i].ns;
-  }
-  *us = (double)ns * 1e-3 / (double)visits->queries;
-  return (double)(bench_now_ns() - start) * 1e-9;
+  const double us = (double)(own_ns() - start) * 1e-3 / (double)visits.queries;
+  core_gather_scratch_free(scratch);
+  return us;
 }
 
-/* Sets M of some queries, spread over all, and returns the microseconds of each. */
-static double gather_some(const scene *of, const core_gather_sum *sum, const query_set *queries,
-                          size_t count, double *M) {
+/* Sets M of some queries, spread over all. */
+static void gather_some(const scene *of, const core_gather_sum *sum, const query_set *queries,
+                        size_t count, double *M) {
   uint32_t some[COMPARED];
   core_gather_visits visits = {0, 0, 0, 0};
   core_gather_scratch *scratch = core_gather_scratch_create(sum, of->points);
   for (size_t i = 0; i < count; i++) {
     some[i] = (uint32_t)(i * (MILLION / COMPARED));
   }
-  const uint64_t start = own_ns();
   core_gather(sum, of->points, scratch, count, some, queries->xyz, queries->M, NULL, &visits);
-  const double us = (double)(own_ns() - start) * 1e-3 / (double)count;
   for (size_t i = 0; i < count; i++) {
     memcpy(M + CHANNELS * i, queries->M + CHANNELS * some[i], CHANNELS * sizeof *M);
   }
   core_gather_scratch_free(scratch);
-  return us;
 }
 
 static double worst_error(const double *M, const double *exact, size_t count) {
@@ -440,28 +394,15 @@ static void measure_tolerance(const scene *of, const query_set *queries, const a
                               const double *exact, double tolerance, size_t stride) {
   static double M[CHANNELS * COMPARED];
   core_gather_sum *sum = make_sum(tolerance);
-  core_gather_visits visits;
-  const double alone = gather_some(of, sum, queries, COMPARED, M);
+  gather_some(of, sum, queries, COMPARED, M);
   const double error = worst_error(M, exact, COMPARED);
-  double us;
-  const double both = gather_runs(of, sum, queries, THREADS, stride, &visits, &us);
-  bench_figure(us, "us", "gather.%.0e.query", tolerance);
-  bench_figure(both * MILLION / (double)visits.queries, "s", "gather.%.0e.million", tolerance);
-  bench_figure((double)visits.nodes / (double)visits.queries, "1", "gather.%.0e.nodes", tolerance);
-  bench_figure((double)visits.points / (double)visits.queries, "1", "gather.%.0e.points",
-               tolerance);
-  bench_figure((double)visits.tested / (double)visits.queries, "1", "gather.%.0e.tested",
-               tolerance);
+  bench_figure(gather_runs(of, sum, queries, stride), "us", "gather.%.0e.query", tolerance);
   bench_figure(error, "1", "gather.%.0e.worst", tolerance);
-  if (tolerance > 5e-3 && tolerance < 5e-2) {
-    bench_figure(alone, "us", "gather.alone.query");
-  }
   if (root != NULL) {
     double found;
     const double angle = angle_us(root, of, queries, error, exact, &found);
     bench_figure(angle, "us", "gather.angle.%.0e.query", tolerance);
     bench_figure(found, "1", "gather.angle.%.0e.worst", tolerance);
-    bench_figure(angle / us, "1", "ratio.gather.%.0e", tolerance);
   }
   core_gather_sum_free(sum);
 }
@@ -470,15 +411,8 @@ static void measure_tolerance(const scene *of, const query_set *queries, const a
 static void measure_size(const scene *of, size_t query_count, const char *name, size_t power) {
   query_set queries = make_queries(of, query_count);
   core_gather_sum *sum = make_sum(1e-2);
-  core_gather_visits visits;
-  double us;
-  gather_runs(of, sum, &queries, 1, query_count / RUN < 20 ? 1 : query_count / RUN / 20, &visits,
-              &us);
-  const double n = (double)visits.queries;
-  bench_figure(us, "us", "gather.%s.1e%zu.query", name, power);
-  bench_figure((double)visits.nodes / n, "1", "gather.%s.1e%zu.nodes", name, power);
-  bench_figure((double)visits.points / n, "1", "gather.%s.1e%zu.points", name, power);
-  bench_figure((double)visits.tested / n, "1", "gather.%s.1e%zu.tested", name, power);
+  const size_t stride = query_count / RUN < 20 ? 1 : query_count / RUN / 20;
+  bench_figure(gather_runs(of, sum, &queries, stride), "us", "gather.%s.1e%zu.query", name, power);
   core_gather_sum_free(sum);
   free_queries(&queries);
 }
@@ -499,14 +433,8 @@ void bench_gather(void) {
   scene made = make_scene(MILLION);
   query_set queries = make_queries(&made, MILLION);
   bench_figure(made.build_s, "s", "gather.build");
-  bench_figure((double)core_gather_points_bytes(made.points) / MILLION, "bytes", "gather.bytes");
-  uint64_t start = bench_now_ns();
-  core_gather_sum_free(make_sum(1e-2));
-  bench_figure((double)(bench_now_ns() - start) * 1e-9, "s", "gather.prepare");
-  bench_progress("gather: the plain sum");
   core_gather_sum *plain = make_sum(0);
-  const double plain_us = gather_some(&made, plain, &queries, COMPARED, exact);
-  bench_figure(plain_us * MILLION * 1e-6 / THREADS, "s", "gather.plain.million");
+  gather_some(&made, plain, &queries, COMPARED, exact);
   core_gather_sum_free(plain);
   angle_node *root = make_angle_tree(&made);
   for (double tolerance = 1e-1; tolerance > (bench_is_long ? 5e-5 : 5e-4); tolerance /= 10) {

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import asyncio
 import os
+import signal
 import time
 
 import dipole
@@ -223,36 +224,23 @@ def test_an_exception_in_the_middle_of_a_frame(shared, monkeypatch, where):
     run(ask())
 
 
-def test_a_silent_daemon(shared):
-    """A client whose daemon is silent for too long fails. A proxy passes everything on until the
-    test makes it hold back."""
+def test_a_silent_daemon(daemon):
+    """A client whose daemon is silent for too long fails."""
+    one = daemon()
 
     async def ask() -> None:
-        forwarding = True
-
-        async def forward(reader, writer) -> None:
-            while data := await reader.read(65536):
-                if forwarding:
-                    writer.write(data)
-            writer.close()
-
-        async def serve(reader, writer) -> None:
-            address = shared.url("tcp").removeprefix("tcp:").rpartition(":")
-            up = await asyncio.open_connection(address[0], int(address[2]))
-            await asyncio.gather(forward(reader, up[1]), forward(up[0], writer))
-
-        server = await asyncio.start_server(serve, "127.0.0.1", 0)
-        port = server.sockets[0].getsockname()[1]
-        async with AsyncClient(f"tcp:127.0.0.1:{port}", timeout_s=0.5, retry_s=0) as client:
+        async with AsyncClient(one.url(), timeout_s=0.5, retry_s=0) as client:
             await client.ping()
-            forwarding = False
+            one.pause()
             began_s = time.monotonic()
             with pytest.raises(dipole.ConnectionLost, match="nothing moved"):
                 await client.ping()
             assert time.monotonic() - began_s >= 0.5
-        server.close()
 
-    run(ask())
+    try:
+        run(ask())
+    finally:
+        one.process.send_signal(signal.SIGCONT)
 
 
 # ---- a daemon that goes away ---------------------------------------------------------------------

@@ -149,6 +149,17 @@ def test_allow_holds_for_tls(daemon, server, ours):
 # ---- certificates --------------------------------------------------------------------------------
 
 
+def media(url: str, files: dict[str, str]) -> str:
+    """Returns what `dipole media` says that cannot connect."""
+    words = [text for name, value in files.items() for text in (f"--{name}", value)]
+    ended = subprocess.run(
+        [BUILD / "dipole", "media", "--connect", url, *words],
+        capture_output=True, text=True, timeout=END_S, check=False, env=environment(),
+    )  # fmt: skip
+    assert ended.returncode == 1
+    return ended.stderr
+
+
 @pytest.mark.parametrize("who", ["none", "expired", "of another CA", "signed by itself"])
 def test_clients_that_are_not_believed(farm, authority, ours, tmp_path, who):
     files = {"ca": ours["ca"]}
@@ -162,12 +173,7 @@ def test_clients_that_are_not_believed(farm, authority, ours, tmp_path, who):
     refusal = "requires a certificate" if who == "none" else "refuses this client's certificate"
     with pytest.raises(dipole.ConnectionLost, match=refusal):
         dipole.Client(farm.url("tls"), **files)
-    flags = [text for name, value in files.items() for text in (f"--{name}", value)]
-    said = subprocess.run(
-        [BUILD / "dipole", "media", "--connect", farm.url("tls"), *flags],
-        capture_output=True, text=True, timeout=END_S, check=False,
-    )  # fmt: skip
-    assert said.returncode == 1 and refusal in said.stderr
+    assert refusal in media(farm.url("tls"), files)
     assert farm.has_line("event=tls-refused peer=127.0.0.1")
     with dipole.Client(farm.url("tls"), **ours) as client:
         client.ping()
@@ -184,22 +190,7 @@ def test_daemons_that_are_not_believed(daemon, authority, server, ours, tmp_path
     why = {"expired": "expired", "wrong host": "mismatch|not valid for"}.get(what, "certificate")
     with pytest.raises(dipole.ConnectError, match=why):
         dipole.Client(one.url("tls"), ca=ca)
-    said = subprocess.run(
-        [BUILD / "dipole", "media", "--connect", one.url("tls"), *(["--ca", ca] if ca else [])],
-        capture_output=True, text=True, timeout=END_S, check=False, env=environment(),
-    )  # fmt: skip
-    assert said.returncode == 1 and "its certificate: " in said.stderr
-
-
-def media(url: str, files: dict[str, str]) -> str:
-    """Returns what `dipole media` says that cannot connect."""
-    words = [text for name, value in files.items() for text in (f"--{name}", value)]
-    ended = subprocess.run(
-        [BUILD / "dipole", "media", "--connect", url, *words],
-        capture_output=True, text=True, timeout=END_S, check=False, env=environment(),
-    )  # fmt: skip
-    assert ended.returncode == 1
-    return ended.stderr
+    assert "its certificate: " in media(one.url("tls"), {"ca": ca} if ca else {})
 
 
 def test_plain_and_tls_do_not_mix(farm, ours):
