@@ -26,16 +26,16 @@ POINTS = wire.MESSAGES["points"]
 LUT = 3
 
 
-def read_examples() -> dict[str, bytes]:
+def read_examples(document: str) -> dict[str, bytes]:
     """Reads the frames in blocks ```hex NAME: digits, and comments from # to the end of the line."""
-    text = (REPOSITORY / "proto/PROTOCOL.md").read_text()
+    text = (REPOSITORY / "proto" / document).read_text()
     return {
         name: bytes.fromhex(re.sub(r"#.*", "", body))
         for name, body in re.findall(r"^```hex ([\w-]+)\n(.*?)^```", text, re.M | re.S)
     }
 
 
-EXAMPLES = read_examples()
+EXAMPLES = read_examples("PROTOCOL.md")
 SAMPLES = {name: EXAMPLES[f"{name}-request"][wire.HEADER.bytes :] for name in wire.MESSAGES}
 
 # The roles without which certificates are refused, by message; others need none.

@@ -3,12 +3,12 @@ of proto/REGISTERS.md."""
 
 from __future__ import annotations
 
-import re
 import struct
 
 import numpy as np
 import pytest
-from daemons import REPOSITORY, eventually
+from daemons import eventually
+from messages import read_examples
 from modbus_master import (
     AT, BAD_ADDRESS, BAD_VALUE, BLOCKS, DEVICE_ID, MIRROR, NO_UNIT, READ_HOLDING, READ_INPUT,
     REPORT_ID, TCP, Tcp, as_floats, as_words, exception, floats, input_block, swapped, words,
@@ -195,18 +195,7 @@ def test_units_that_are_not_there(master, unit):
 
 # ---- REGISTERS.md --------------------------------------------------------------------------------
 
-
-def examples() -> dict[str, bytes]:
-    """Reads the frames in blocks ```hex NAME: pairs of digits, and comments from # to the end of
-    the line."""
-    text = (REPOSITORY / "proto/REGISTERS.md").read_text()
-    return {
-        name: bytes.fromhex(re.sub(r"#.*", "", body))
-        for name, body in re.findall(r"^```hex ([\w-]+)\n(.*?)^```", text, re.M | re.S)
-    }
-
-
-EXAMPLES = examples()
+EXAMPLES = read_examples("REGISTERS.md")
 
 
 def before(name: str) -> list[str]:
