@@ -2,6 +2,7 @@
  * rounds and, in the group kernel, more lengths of arrays. */
 #include "tests/bench/bench.h"
 
+#include <assert.h>
 #include <stdarg.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -65,6 +66,24 @@ static int compare_doubles(const void *a, const void *b) {
 double bench_median(double *values, size_t n) {
   qsort(values, n, sizeof *values, compare_doubles);
   return n % 2 ? values[n / 2] : 0.5 * (values[n / 2 - 1] + values[n / 2]);
+}
+
+enum { ROUNDS_MOST = 15 };
+
+double bench_median_of(const double *figures, size_t n) {
+  double sorted[ROUNDS_MOST];
+  assert(n <= ROUNDS_MOST);
+  memcpy(sorted, figures, n * sizeof *sorted);
+  return bench_median(sorted, n);
+}
+
+double bench_median_ratio(const double *over, const double *under, size_t n) {
+  double ratios[ROUNDS_MOST];
+  assert(n <= ROUNDS_MOST);
+  for (size_t i = 0; i < n; i++) {
+    ratios[i] = over[i] / under[i];
+  }
+  return bench_median(ratios, n);
 }
 
 /* ---- comparing ---------------------------------------------------------------------------- */

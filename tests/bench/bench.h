@@ -32,6 +32,11 @@ uint64_t bench_now_ns(void);
 /* Returns the median of n > 0 values and sorts them. */
 double bench_median(double *values, size_t n);
 
+/* The same of figures that are kept in their order, and of the ratios of two sides' figures, round by
+ * round. n: at most 15. */
+double bench_median_of(const double *figures, size_t n);
+double bench_median_ratio(const double *over, const double *under, size_t n);
+
 /* Prepares the red channel of skin1, as a slab of 4 mm for models that need a thickness. */
 core_profile bench_profile(const core_isa *isa, unsigned model, unsigned evaluator);
 
