@@ -25,23 +25,18 @@ const libdipole_kind libdipole_plain = {.repeatable = true};
 
 static libdipole_pending *find_pending(dipole_client *client, uint64_t id) {
   libdipole_pending *first = client->pending + client->pending_begin;
-  size_t begin = 0, end = client->pending_count;
-  while (begin < end) {
-    const size_t middle = begin + (end - begin) / 2;
-    if (first[middle].id < id) {
-      begin = middle + 1;
-    } else {
-      end = middle;
-    }
+  size_t i = 0; /* Replies come nearly in order, so this loop is short, as the next one is. */
+  while (i < client->pending_count && first[i].id < id) {
+    i++;
   }
-  return begin < client->pending_count && first[begin].id == id ? &first[begin] : NULL;
+  return i < client->pending_count && first[i].id == id ? &first[i] : NULL;
 }
 
 /* Returns the oldest request that has a reply, or NULL. */
 static libdipole_pending *find_arrived(dipole_client *client) {
   libdipole_pending *first = client->pending + client->pending_begin;
   for (size_t i = 0; client->arrived_count > 0 && i < client->pending_count; i++) {
-    if (first[i].frame != NULL) { /* Replies come nearly in order, so this loop is short. */
+    if (first[i].frame != NULL) {
       return &first[i];
     }
   }
@@ -112,14 +107,6 @@ static void hand_out(dipole_client *client, libdipole_pending *entry, libdipole_
   }
 }
 
-void libdipole_request_once(dipole_client *client, uint64_t id) {
-  libdipole_pending *entry = find_pending(client, id);
-  if (entry != NULL) {
-    assert(entry->again_ms == 0);
-    forget_copy(client, entry);
-  }
-}
-
 /* Throws away a report of progress that no call has taken. */
 static void drop_report(dipole_client *client, libdipole_pending *entry) {
   free(entry->frame);
@@ -152,8 +139,12 @@ bool libdipole_cancel(dipole_client *client, uint64_t job_id, uint64_t *cancel_i
                                .type = WIRE_TYPE_CANCEL,
                                .reply_bytes_min = WIRE_BYTES_cancel_reply,
                                .reply_bytes_max = WIRE_BYTES_cancel_reply};
+  libdipole_pending *job = find_pending(client, job_id);
   uint8_t *payload;
-  libdipole_request_once(client, job_id);
+  if (job != NULL) {
+    assert(job->again_ms == 0);
+    forget_copy(client, job); /* so that it is never sent again */
+  }
   if (!libdipole_request_begin(client, &pending, WIRE_BYTES_cancel_request, &payload, error)) {
     return false;
   }

@@ -87,9 +87,6 @@ libdipole_frame *libdipole_reply(dipole_client *client, libdipole_pending *pendi
 libdipole_frame *libdipole_call(dipole_client *client, libdipole_pending *pending,
                                 const uint8_t *payload, size_t payload_bytes, dipole_error *error);
 
-/* Lets a request that has been sent never be sent again. */
-void libdipole_request_once(dipole_client *client, uint64_t id);
-
 /* Sends a cancel request for a Monte Carlo job or a gather, which is never sent again. Sets *cancel_id
  * to the id of the cancel request, whose reply is to be taken or dropped. */
 bool libdipole_cancel(dipole_client *client, uint64_t job_id, uint64_t *cancel_id,

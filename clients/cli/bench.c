@@ -258,10 +258,9 @@ static void put_result(cli_rows *rows, const void *context, size_t index) {
              radii_per_s * (1 + channels) * (double)value_bytes(of));
 }
 
-static void put_facts(cli_rows *rows, const void *context, size_t index) {
+static void put_facts(cli_rows *rows, const void *context) {
   const report *of = context;
   const dipole_info *info = of->profile.info;
-  (void)index;
   cli_put_text(rows, info->software, "daemon");
   cli_put_text(rows, info->address, "address", "at");
   cli_put_text(rows, info->instruction_set, "instruction_set", "");

@@ -445,9 +445,8 @@ static const char *name_of(const convention *of) {
   return of != NULL ? of->name : COEFFICIENTS;
 }
 
-static void put_facts(cli_rows *rows, const void *context, size_t index) {
+static void put_facts(cli_rows *rows, const void *context) {
   const material *of = context;
-  (void)index;
   cli_put_text(rows, name_of(of->from), "from");
   cli_put_text(rows, name_of(of->to), "to");
   if (of->to != NULL) {

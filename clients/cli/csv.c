@@ -134,16 +134,6 @@ const char *cli_csv_number_hint(const char *text) {
                           : "";
 }
 
-const char *cli_csv_fault(const cli_csv_record *row, size_t header_cells) {
-  size_t i = header_cells;
-  while (i < row->cell_count && row->cells[i].text_length == 0) {
-    i++;
-  }
-  return row->malformed        ? "text stands after a closing quote"
-         : i < row->cell_count ? "more cells than in the header: numbers have a decimal point"
-                               : NULL;
-}
-
 /* ---- columns --------------------------------------------------------------------------------- */
 
 /* Says so and returns false if a column that is not read is nearly called as one that is, or as an
@@ -225,23 +215,6 @@ static enum state next_state(enum state state, int byte, char separator) {
   return byte == '"' && state != IN_CELL ? IN_QUOTES : IN_CELL;
 }
 
-/* Reads on through bytes that are already buffered, in a comment or in a cell that does not begin
- * with a quote, until one may end it. */
-static void take_run(cli_csv_reader *reader, cli_csv_record *record, bool comment) {
-  const unsigned char *from = reader->input + reader->begin;
-  size_t most = reader->end - reader->begin;
-  if (most > CLI_CSV_RECORD_MAX_BYTES - record->length) {
-    most = CLI_CSV_RECORD_MAX_BYTES - record->length;
-  }
-  size_t count = 0;
-  while (count < most && from[count] != '\n' && from[count] != '\r' &&
-         (comment || !is_separator(from[count], reader->separator))) {
-    count++;
-  }
-  keep_bytes(record, from, count);
-  reader->begin += count;
-}
-
 /* Takes the next byte. Returns whether it ends a line. Once a carriage return has ended one, it
  * does so at once: a program may wait for a reply before it continues. */
 static bool take_byte(cli_csv_reader *reader, cli_csv_record *record, bool quoted) {
@@ -301,9 +274,6 @@ static enum cli_csv_kind read_line(cli_csv_reader *reader, cli_csv_record *recor
     ends = take_byte(reader, record, quoted) && !quoted;
     state = ends ? state : next_state(state, byte, reader->separator);
     quote_line = state == IN_QUOTES && !quoted ? reader->lines + 1 : quote_line;
-    if (!ends && (state == IN_CELL || state == IN_COMMENT)) {
-      take_run(reader, record, state == IN_COMMENT);
-    }
   }
   if (reader->read_errno != 0) {
     snprintf(reader->problem, sizeof reader->problem, "%s", strerror(reader->read_errno));
@@ -408,6 +378,16 @@ static void read_ahead(cli_csv_reader *reader) {
   last->kind = take_header(reader, &last->record);
 }
 
+/* Frees what was read ahead. */
+static void free_held(cli_csv_reader *reader) {
+  while (reader->held_next < reader->held_count) {
+    cli_csv_record_free(&reader->held[reader->held_next++].record);
+  }
+  cli_free(reader->held);
+  reader->held = NULL;
+  reader->held_count = reader->held_next = 0;
+}
+
 enum cli_csv_kind cli_csv_read(cli_csv_reader *reader, cli_csv_record *record) {
   if (reader->header_cells == 0 && reader->held_count == 0) {
     read_ahead(reader);
@@ -418,21 +398,12 @@ enum cli_csv_kind cli_csv_read(cli_csv_reader *reader, cli_csv_record *record) {
     *record = next->record;
     const enum cli_csv_kind kind = next->kind;
     if (reader->held_next == reader->held_count) {
-      cli_csv_reader_free(reader);
+      free_held(reader);
     }
     return kind;
   }
   const enum cli_csv_kind kind = read_line(reader, record);
   return kind == CLI_CSV_RECORD ? take_line(reader, record) : kind;
-}
-
-void cli_csv_reader_free(cli_csv_reader *reader) {
-  while (reader->held_next < reader->held_count) {
-    cli_csv_record_free(&reader->held[reader->held_next++].record);
-  }
-  cli_free(reader->held);
-  reader->held = NULL;
-  reader->held_count = reader->held_next = 0;
 }
 
 void cli_csv_record_free(cli_csv_record *record) {
@@ -496,11 +467,22 @@ static void make_room(cli_sheet *sheet) {
   }
 }
 
+/* Says what is wrong with a row; NULL if nothing is. Empty cells beyond the header's do no harm. */
+static const char *fault_of(const cli_csv_record *row, size_t header_cells) {
+  size_t i = header_cells;
+  while (i < row->cell_count && row->cells[i].text_length == 0) {
+    i++;
+  }
+  return row->malformed        ? "text stands after a closing quote"
+         : i < row->cell_count ? "more cells than in the header: numbers have a decimal point"
+                               : NULL;
+}
+
 /* Adds a row to the sheet. names: [columns + 1] of the columns; the last one is the column of
  * labels, or NULL. */
 static bool take_row(cli_sheet *sheet, const cli_csv_record *record, const char *const *names,
                      size_t header_cells) {
-  const char *fault = cli_csv_fault(record, header_cells);
+  const char *fault = fault_of(record, header_cells);
   const size_t label = sheet->at[sheet->columns];
   size_t length;
   if (fault != NULL) {
@@ -555,7 +537,7 @@ bool cli_sheet_read(const char *path, const char *label, const char *const *name
     }
   }
   cli_csv_record_free(&record);
-  cli_csv_reader_free(reader);
+  free_held(reader);
   if (reader->fd > STDIN_FILENO) {
     close(reader->fd);
   }

@@ -80,9 +80,6 @@ typedef struct cli_csv_reader {
  * first cell. */
 enum cli_csv_kind cli_csv_read(cli_csv_reader *reader, cli_csv_record *record);
 
-/* Frees what was read ahead; the caller closes fd. */
-void cli_csv_reader_free(cli_csv_reader *reader);
-
 /* Returns the text of a cell without its quotes and the blanks around it. It is valid until the
  * next record is read. The text may hold zero bytes; *length is its length with them. */
 const char *cli_csv_cell_text(const cli_csv_record *record, size_t index, size_t *length);
@@ -104,9 +101,6 @@ bool cli_csv_find(const char *source, const cli_csv_record *header, const char *
 /* Says that a column is missing, which the header has, and what it needs. Returns false. */
 bool cli_csv_fail_missing(const char *source, const cli_csv_record *header, const char *missing,
                           const char *needs);
-
-/* Says what is wrong with a row; NULL if nothing is. Empty cells beyond the header's do no harm. */
-const char *cli_csv_fault(const cli_csv_record *row, size_t header_cells);
 
 /* Write a cell as it was read, or a text as a cell, in quotes where it needs them. */
 void cli_csv_copy_cell(const cli_csv_record *record, size_t index, FILE *file);

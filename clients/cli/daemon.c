@@ -135,6 +135,14 @@ const dipole_choice *cli_next_note(const dipole_info *info, unsigned notes, size
   return note;
 }
 
+uint64_t cli_limit(const dipole_info *info, const char *name, uint64_t otherwise) {
+  size_t i = 0;
+  while (i < info->limit_count && strcmp(info->limits[i].name, name) != 0) {
+    i++;
+  }
+  return i < info->limit_count ? info->limits[i].value : otherwise;
+}
+
 void cli_list_names(const dipole_info *info, enum dipole_kind kind, char *text, size_t bytes) {
   static const char more[] = ", ...";
   const dipole_choice *choice;

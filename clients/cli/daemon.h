@@ -56,6 +56,9 @@ const dipole_choice *cli_named(const dipole_info *info, enum dipole_kind kind, c
  * fit. */
 void cli_list_names(const dipole_info *info, enum dipole_kind kind, char *text, size_t bytes);
 
+/* Returns a limit of the daemon by its name; `otherwise` if it has none of this name. */
+uint64_t cli_limit(const dipole_info *info, const char *name, uint64_t otherwise);
+
 /* Returns the next note, from position *from on, that is in the sum `notes`; NULL if there is no
  * more. */
 const dipole_choice *cli_next_note(const dipole_info *info, unsigned notes, size_t *from);

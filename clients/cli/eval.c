@@ -260,16 +260,6 @@ static bool receive(void *context, const dipole_result *part, uint64_t first) {
   return true;
 }
 
-/* Returns how many media one request may have. */
-static size_t most_media(const dipole_info *info) {
-  for (size_t i = 0; i < info->limit_count; i++) {
-    if (strcmp(info->limits[i].name, "max_media") == 0) {
-      return (size_t)info->limits[i].value;
-    }
-  }
-  return 1;
-}
-
 /* Requests the model, of many wavelengths piece by piece. It has to take the parameters, unless it is
  * there only as the reference. Where the daemon chooses the model, and no evaluator is named, single
  * precision is taken, which is cheaper, unless only double precision keeps the tolerance. */
@@ -281,8 +271,9 @@ static bool request_model(requests *run, dipole_error *error) {
   const bool is_any = model->choice == NULL;
   const size_t channels = report->profile.channel_count;
   /* a choice of the daemon is one of all channels */
-  const size_t most =
-      report->profile.wavelengths_nm != NULL && !is_any ? most_media(info) : channels;
+  const size_t most = report->profile.wavelengths_nm != NULL && !is_any
+                          ? (size_t)cli_limit(info, "max_media", 1)
+                          : channels;
   for (run->channel = 0;;) {
     run->query =
         (dipole_query){.model = is_any ? DIPOLE_ANY_MODEL : model->choice->id,
@@ -482,9 +473,8 @@ static void put_errors(cli_rows *rows, const cli_eval_report *report, const cli_
 }
 
 /* Writes the facts with which every report of values begins. */
-static void put_facts(cli_rows *rows, const void *context, size_t index) {
+static void put_facts(cli_rows *rows, const void *context) {
   const cli_eval_report *report = context;
-  (void)index;
   cli_put_profile(rows, &report->profile);
   if (report->draw != NULL) {
     cli_put_text(rows, report->draw->name, "draw");

@@ -558,9 +558,8 @@ static void put_sample(cli_rows *rows, const void *context, size_t index) {
   cli_put_number(rows, one->second_chi_squared, "second_chi2", .forms = json);
 }
 
-static void put_facts(cli_rows *rows, const void *context, size_t index) {
+static void put_facts(cli_rows *rows, const void *context) {
   const report *of = context;
-  (void)index;
   cli_put_profile(rows, &of->profile);
   cli_put_text(rows, of->axis->name, "axis", .forms = CLI_IN_JSON);
   cli_put_text(rows, of->scale->name, "scale");

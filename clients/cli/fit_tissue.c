@@ -291,9 +291,8 @@ static int fit_sample(report *of, dipole_client *client, tissue_sample *one) {
 
 /* ---- writing --------------------------------------------------------------------------------- */
 
-static void put_facts(cli_rows *rows, const void *context, size_t index) {
+static void put_facts(cli_rows *rows, const void *context) {
   const report *of = context;
-  (void)index;
   cli_put_profile(rows, &of->profile);
   if (of->profile.tissue == NULL) {
     cli_put_text(rows, of->profile.haemoglobin->name, "haemoglobin");

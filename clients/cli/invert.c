@@ -188,9 +188,8 @@ static void put_medium(cli_rows *rows, const void *context, size_t index) {
   cli_put_text(rows, status_of(of, one), "status");
 }
 
-static void put_facts(cli_rows *rows, const void *context, size_t index) {
+static void put_facts(cli_rows *rows, const void *context) {
   const report *of = context;
-  (void)index;
   cli_put_profile(rows, &of->profile);
   cli_put_text(rows, of->given->name, "given");
   cli_put_text(rows, of->given->about, "formula", "=");

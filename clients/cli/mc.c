@@ -81,13 +81,10 @@ static int check(cli_settings *settings) {
 
 /* Returns how many photons may walk. If an error is requested, only the daemon limits them. */
 static uint64_t photons_of(const cli_settings *settings, const dipole_info *info) {
-  for (size_t i = 0; i < info->limit_count; i++) {
-    if (!settings->photons.given && (settings->error.given || settings->total_error.given) &&
-        strcmp(info->limits[i].name, "max_mc_photons") == 0) {
-      return info->limits[i].value;
-    }
-  }
-  return (uint64_t)settings->photons.value;
+  const uint64_t photons = (uint64_t)settings->photons.value;
+  return !settings->photons.given && (settings->error.given || settings->total_error.given)
+             ? cli_limit(info, "max_mc_photons", photons)
+             : photons;
 }
 
 /* The rings that --r is read from are so wide. Their bias is some 2e-3 of R where R falls by e
@@ -270,9 +267,8 @@ static void put_quantity(cli_rows *rows, const report *of, uint32_t albedo, size
 }
 
 /* Writes the medium of a channel and how its photons walked. */
-static void put_walk(cli_rows *rows, const void *context, size_t index) {
+static void put_walk(cli_rows *rows, const void *context) {
   const report *of = context;
-  (void)index;
   if (of->medium != NULL) {
     cli_put_text(rows, of->medium, "medium", "");
   }
@@ -298,7 +294,7 @@ static void put_row(cli_rows *rows, const void *context, size_t index) {
     cli_put_text(rows, sample, "sample");
   }
   if (rows->form != CLI_TABLE) { /* the titles of a table say it */
-    put_walk(rows, of, 0);
+    put_walk(rows, of);
   }
   if (!readings) {
     cli_put_number(rows, value, "albedo");
@@ -312,7 +308,7 @@ static void write_table(const void *context) {
     report *of = &all->items[i];
     cli_rows title = {.form = CLI_TABLE, .pass = CLI_ROWS_TITLE, .file = stdout, .between = ", "};
     fputs(i > 0 ? "\n" : "", stdout);
-    put_walk(&title, of, 0);
+    put_walk(&title, of);
     puts(of->result->end == DIPOLE_MC_CANCELLED || of->result->end == DIPOLE_MC_STOPPED
              ? "\nCANCELLED: this is what had been walked by then\n"
              : "\n");
@@ -330,14 +326,13 @@ static void write_table(const void *context) {
 }
 
 /* Writes what holds for all channels. */
-static void put_facts(cli_rows *rows, const void *context, size_t index) {
+static void put_facts(cli_rows *rows, const void *context) {
   static const char *const ends[] = {[DIPOLE_MC_PHOTONS] = "photons",
                                      [DIPOLE_MC_ERRORS] = "errors",
                                      [DIPOLE_MC_CANCELLED] = "cancelled",
                                      [DIPOLE_MC_STOPPED] = "stopped"};
   const reports *all = context;
   const report *last = &all->items[all->count - 1];
-  (void)index;
   cli_put_text(rows, last->info->software, "software", .forms = CLI_IN_JSON);
   cli_put_tissue(rows, last->profile);
   cli_put_text(rows, ends[last->result->end], "ended_by", "Monte Carlo, ended by");

@@ -39,11 +39,6 @@ void cli_options_help(const cli_command *command);
  * Returns `otherwise` if the option is not given. */
 double cli_numbers_pick(const cli_numbers *numbers, size_t channel, double otherwise);
 
-/* Returns the only text, or the first one; NULL if there is none. */
-static inline const char *cli_first(const cli_texts *texts) {
-  return texts->count > 0 ? texts->items[0] : NULL;
-}
-
 /* Returns the numbers as an array of double, or of float. */
 const void *cli_numbers_in(const cli_numbers *numbers, bool single);
 

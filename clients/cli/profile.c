@@ -398,7 +398,8 @@ bool cli_profile_take_names(const cli_settings *settings, dipole_client *client,
     const char *option, *name;
   } choices[] = {
       {&profile->model, DIPOLE_MODEL, "model",
-       settings->model.whole == NULL ? cli_first(&settings->model) : NULL},
+       settings->model.whole == NULL && settings->model.count > 0 ? settings->model.items[0]
+                                                                  : NULL},
       {&profile->moments, DIPOLE_MOMENTS, "moments",
        settings->moments != NULL ? settings->moments : "exact"},
       {&profile->evaluator, DIPOLE_EVALUATOR, "evaluator", settings->evaluator},

@@ -324,7 +324,7 @@ static void write_json(const cli_report *report, const void *context) {
   cli_rows rows = {.form = CLI_JSON, .pass = CLI_ROWS_VALUES, .file = stdout, .between = ",\n  "};
   fputs("{\n  ", stdout);
   if (report->facts != NULL) {
-    report->facts(&rows, context, 0);
+    report->facts(&rows, context);
     fputs(rows.filled ? rows.between : "", stdout);
   }
   fputs("\"units\": {", stdout);
@@ -341,7 +341,7 @@ static void write_json(const cli_report *report, const void *context) {
 static void write_table(const cli_report *report, const void *context) {
   if (report->facts != NULL) {
     cli_rows title = {.form = CLI_TABLE, .pass = CLI_ROWS_TITLE, .file = stdout, .between = ", "};
-    report->facts(&title, context, 0);
+    report->facts(&title, context);
     fputs("\n\n", stdout);
   }
   if (report->table != NULL) {

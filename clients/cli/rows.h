@@ -88,7 +88,8 @@ void cli_rows_object(cli_put_row *put, const void *context, size_t index);
  * "units" and "rows", which has an object for each row; CSV has the rows; people get a line of the
  * facts, and the rows unless there is table(). */
 typedef struct cli_report {
-  cli_put_row *facts; /* row with what holds for all rows; NULL: none */
+  /* writes what holds for all rows; NULL: nothing does */
+  void (*facts)(cli_rows *rows, const void *context);
   size_t rows;
   cli_put_row *put_row;
   size_t left; /* see cli_rows_print() */

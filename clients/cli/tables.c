@@ -318,9 +318,8 @@ static void put_table(cli_rows *rows, const void *context, size_t index) {
                  .below = "at all radii");
 }
 
-static void put_facts(cli_rows *rows, const void *context, size_t index) {
+static void put_facts(cli_rows *rows, const void *context) {
   const report *of = context;
-  (void)index;
   cli_put_profile(rows, &of->profile);
 }
 

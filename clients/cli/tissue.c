@@ -197,8 +197,7 @@ int cli_tissue_take(const cli_settings *settings, dipole_client *client, cli_pro
 
 /* ---- the command ----------------------------------------------------------------------------- */
 
-static void put_facts(cli_rows *rows, const void *context, size_t index) {
-  (void)index;
+static void put_facts(cli_rows *rows, const void *context) {
   cli_put_profile(rows, context);
 }
 

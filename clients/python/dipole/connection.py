@@ -178,11 +178,6 @@ class Connection:
         )
 
     @property
-    def is_private(self) -> bool:
-        """Whether the daemon was started for this connection."""
-        return self.address.startswith("private:")
-
-    @property
     def is_closed(self) -> bool:
         return self.socket.fileno() < 0
 
