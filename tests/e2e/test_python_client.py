@@ -331,14 +331,12 @@ def test_much_may_be_submitted_before_anything_is_collected(client):
     assert all(np.array_equal(results[i].R, results[ids[0]].R) for i in ids)
 
 
-def test_ping_and_frames(client):
+def test_ping(client):
     assert 0 < client.ping() < 10
     assert client.ping(bytes(1024)) > 0
     for payload in (b"odd", bytes(1032)):
         with pytest.raises(dipole.ArgumentError):
             client.ping(payload)
-    client.send_frame(PING, 12345, b"8 bytes!")
-    assert client.receive_frame() == dipole.Frame(PING | wire.REPLY, 12345, b"8 bytes!")
 
 
 NO_ADDRESSES = [

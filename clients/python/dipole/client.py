@@ -12,7 +12,6 @@ from typing import Any
 
 from . import evaluation
 from .calls import Calls, takes_query
-from .connection import Frame
 from .errors import ArgumentError
 from .opening import Opening
 from .session import Session, Waiting, run
@@ -115,16 +114,6 @@ class Client(Calls):
         if request_id in self._submitted:
             del self._submitted[request_id]
             self._session.exchange.drop(request_id)
-
-    def send_frame(
-        self, type: int, request_id: int, payload: bytes = b"", deadline_ms: int = 0
-    ) -> None:
-        """Sends a frame of any type without checking it. Use receive_frame() for the reply."""
-        self._session.connection.send_frame(type, request_id, payload, deadline_ms)
-
-    def receive_frame(self) -> Frame:
-        """Waits for the next frame. Use it only with send_frame(): other calls take frames, too."""
-        return self._session.connection.receive_frame()
 
 
 class Parts(Iterator[Result]):
