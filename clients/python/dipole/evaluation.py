@@ -22,17 +22,27 @@ from .values import Options, Query, Result, SampleOptions, Samples, whole
 
 T = TypeVar("T")
 
-def _payload(
+
+def _packed(
     message: str,
     info: Info,
     query: Query,
-    shape: Shape,
     evaluator_id: int,
-    media: Array,
-    listed: dict[str, Array | None],
+    wanted: tuple[str, ...],
+    listed: Array | None,
+    count: int,
     **fields: Any,
-) -> bytes:
-    """Packs an eval or sample request. listed: the numbers, if there is a list."""
+) -> tuple[bytes, Shape]:
+    """Packs an eval or sample request for `count` radii. listed: the numbers, if there is a list."""
+    media = media_array(query.media)
+    shape = Shape(
+        drawn=message == "sample",
+        radii=listed if message == "eval" else None,
+        value_type=wire.EVALUATOR_TYPES.get(evaluator_id),
+        wanted=_bits(info, wanted, query.model_error),
+        medium_count=len(media),
+        radius_count=count,
+    )
     fixed = {
         "model": _model_id(info, query),
         "evaluator": evaluator_id,
@@ -42,9 +52,11 @@ def _payload(
         "layer_count": media.shape[1],
         **fields,
     }
-    lists = {name: array.data for name, array in listed.items() if array is not None and len(array)}
-    parameters = parameters_of(info, query.parameters, query.tolerance)
-    return wire.PAYLOADS[message].pack(fixed, medium=media.tobytes(), parameter=parameters, **lists)
+    lists = {"medium": media.tobytes()}
+    lists["parameter"] = parameters_of(info, query.parameters, query.tolerance)
+    if listed is not None and len(listed):
+        lists["u" if shape.drawn else "r"] = listed.data
+    return wire.PAYLOADS[f"{message}_request"].pack(fixed, **lists), shape
 
 
 def _model_id(info: Info, query: Query) -> int:
@@ -74,30 +86,15 @@ def _eval_payload(info: Info, query: Query) -> tuple[bytes, Shape]:
     if grid is not None and query.r is not None:
         raise ArgumentError("r, grid: one of them, not both")
     evaluator_id = id_of(info, "evaluator", evaluator)
-    media = media_array(query.media)
     radii = None if grid is not None else in_precision(query.r, "r", "radius", evaluator_id)
-    shape = Shape(
-        radii=radii,
-        value_type=wire.EVALUATOR_TYPES.get(evaluator_id),
-        wanted=_bits(info, wanted, query.model_error),
-        medium_count=len(media),
-        radius_count=grid.count if grid is not None else 0 if radii is None else len(radii),
-    )
-    rule = grid or Grid(0.0, 0.0, shape.radius_count)
-    payload = _payload(
-        "eval_request",
-        info,
-        query,
-        shape,
-        evaluator_id,
-        media,
-        {"r": radii},
-        spacing=wire.SPACING_LIST if grid is None else id_of(info, "spacing", rule.spacing),
-        radius_count=rule.count,
-        radius_start=rule.start_mm,
-        radius_stop=rule.stop_mm,
-    )
-    return payload, shape
+    rule = grid or Grid(0.0, 0.0, 0 if radii is None else len(radii))
+    how = {
+        "spacing": wire.SPACING_LIST if grid is None else id_of(info, "spacing", rule.spacing),
+        "radius_count": rule.count,
+        "radius_start": rule.start_mm,
+        "radius_stop": rule.stop_mm,
+    }
+    return _packed("eval", info, query, evaluator_id, wanted, radii, rule.count, **how)
 
 
 def request(info: Info, query: Query, is_streamed: bool = False) -> Request[Result]:
@@ -248,34 +245,20 @@ async def sample(
     draw = draw and draw._replace(count=whole(draw.count), seed=whole(draw.seed))
     evaluator_id = id_of(info, "evaluator", query.evaluator or "f64")
     listed = in_precision(u, "u", "number", evaluator_id)
-    array = media_array(media)
-    value_type = wire.EVALUATOR_TYPES[evaluator_id]
-    shape = Shape(
-        radii=None,
-        value_type=value_type,
-        wanted=_bits(info, names_of(query.wanted, ("r", "pdf")), query.model_error),
-        medium_count=len(array),
-        radius_count=len(listed) if draw is None else draw.count,
-        drawn=True,
-    )
+    count = len(listed) if draw is None else draw.count
     draw_id = wire.DRAW_LIST if draw is None else id_of(info, "draw", draw.rule)
     seeded = draw_id in (wire.DRAW_STRATIFIED, wire.DRAW_RANDOM)
-    payload = _payload(
-        "sample_request",
-        info,
-        query,
-        shape,
-        evaluator_id,
-        array,
-        {"u": listed},
-        draw=draw_id,
-        sample_count=shape.radius_count,
-        sample_first=0 if draw is None else draw.first,
-        seed=draw.seed if draw is not None and seeded else 0,
-    )
+    how = {
+        "draw": draw_id,
+        "sample_count": count,
+        "sample_first": 0 if draw is None else draw.first,
+        "seed": draw.seed if draw is not None and seeded else 0,
+    }
+    wanted = names_of(query.wanted, ("r", "pdf"))
+    payload, shape = _packed("sample", info, query, evaluator_id, wanted, listed, count, **how)
 
     def read(whole: Joined) -> Samples:
-        numbers = listed if draw is None else numbers_of(draw, value_type)
+        numbers = listed if draw is None else numbers_of(draw, wire.EVALUATOR_TYPES[evaluator_id])
         return Samples(u=numbers, **_common_fields(whole, shape, info))
 
     return await session.call(Request("sample", payload, _replies(shape, read), query.deadline_ms))
