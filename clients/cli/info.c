@@ -7,29 +7,10 @@
 #include "clients/cli/profile.h"
 #include "clients/cli/rows.h"
 
-/* The daemon's lists, and what people call them. */
-static const struct {
-  enum dipole_kind kind;
-  const char *plural;
-} lists[] = {
-    {DIPOLE_MODEL, "models"},
-    {DIPOLE_EVALUATOR, "evaluators"},
-    {DIPOLE_MOMENTS, "moments"},
-    {DIPOLE_QUANTITY, "quantities"},
-    {DIPOLE_SPACING, "spacings"},
-    {DIPOLE_STATUS, "statuses"},
-    {DIPOLE_PARAMETER, "parameters"},
-    {DIPOLE_NOTE, "notes"},
-    {DIPOLE_DRAW, "draws"},
-    {DIPOLE_LENGTH, "lengths"},
-    {DIPOLE_PHASE, "phases"},
-    {DIPOLE_SCALE, "scales"},
-    {DIPOLE_LIGHT, "lights"},
-    {DIPOLE_COEFFICIENT, "coefficients"},
-    {DIPOLE_AXIS, "axes"},
-    {DIPOLE_FIT_STATUS, "fit statuses"},
-    {DIPOLE_VALUE, "value statuses"},
-    {DIPOLE_HAEMOGLOBIN, "haemoglobins"},
+/* What the daemon's lists are called. */
+static const char *const lists[] = {
+#define WIRE_LIST(kind, IDENT, name, plural, list) [DIPOLE_##IDENT] = plural,
+#include "proto/messages.def"
 };
 
 /* Something that is known about the daemon. */
@@ -63,10 +44,11 @@ static facts gather(const dipole_info *info, const dipole_value *statistics, siz
   add_fact(&all, (fact){"daemon", "instruction_set", .text = info->instruction_set});
   add_fact(&all, (fact){"daemon", "workers", .count = info->workers});
   add_fact(&all, (fact){"daemon", "R_unit", .text = info->R_unit});
-  for (size_t i = 0; i < sizeof lists / sizeof lists[0]; i++) {
+  for (unsigned kind = 1; kind < sizeof lists / sizeof lists[0]; kind++) {
     const dipole_choice *choice;
-    for (size_t from = 0; (choice = cli_next_choice(info, lists[i].kind, &from)) != NULL;) {
-      add_fact(&all, (fact){lists[i].plural, choice->name, choice->about, 0});
+    for (size_t from = 0;
+         (choice = cli_next_choice(info, (enum dipole_kind)kind, &from)) != NULL;) {
+      add_fact(&all, (fact){lists[kind], choice->name, choice->about, 0});
     }
   }
   add_values(&all, "limits", info->limits, info->limit_count);
