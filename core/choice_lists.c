@@ -7,13 +7,9 @@
 #define END                                                                                        \
   { 0, NULL, NULL }
 
-const core_choice core_models[] = {
-#define CORE_MODEL(id, IDENT, name, formula, kernels, variant, parameters, source)                 \
-  {id, name, source},
-#define CORE_SUM(id, IDENT, name, FIRST, SECOND, source) {id, name, source},
-#include "core/models.def"
-    END,
-};
+#define MODEL(id, IDENT, name, formula, kernels, variant, parameters, source) {id, name, source},
+#define SUM(id, IDENT, name, FIRST, SECOND, source) {id, name, source},
+const core_choice core_models[] = {CORE_EACH_MODEL(MODEL, SUM) END};
 
 #define ENTRY(P, id, IDENT, name, about, ...) {id, name, about},
 #define PARAMETER(P, id, IDENT, name, about, unit, least, most)                                    \
@@ -80,10 +76,10 @@ bool core_solves(unsigned model) {
   enum { SLOW = 0, COSTLY = 0, DERIVES = 0, MODULATES = 0, SLABS = 0, LAYERS = 0, SOLVES = 1 };
 #define BIT(IDENT) 0
   switch (model) {
-#define CORE_MODEL(id, IDENT, name, formula, kernels, variant, parameters, source)                 \
+#define IS_SOLVED(id, IDENT, name, formula, kernels, variant, parameters, source)                  \
   case id:                                                                                         \
     return ((parameters)&SOLVES) != 0;
-#include "core/models.def"
+    CORE_EACH_MODEL(IS_SOLVED, CORE_NO_SUM)
   default:
     return false;
   }

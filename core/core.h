@@ -20,6 +20,7 @@
 #include <stdint.h>
 
 #include "core/choices.def"
+#include "core/models.def"
 
 /* ---- lists ----------------------------------------------------------------------------------- */
 
@@ -38,12 +39,8 @@ enum core_burley_fit { CORE_BURLEY_SEARCHLIGHT, CORE_BURLEY_DIFFUSE, CORE_BURLEY
  * half space with the beam's source in place of a slab. */
 enum { CORE_SLAB_TRANSMITTED = 8, CORE_CLOUD_BEAM = 16 };
 
-enum core_model {
-#define CORE_MODEL(id, IDENT, name, formula, kernels, variant, parameters, source)                 \
-  CORE_MODEL_##IDENT = (id),
-#define CORE_SUM(id, IDENT, name, FIRST, SECOND, source) CORE_MODEL_##IDENT = (id),
-#include "core/models.def"
-};
+#define CORE_MODEL_ID(id, IDENT, ...) CORE_MODEL_##IDENT = (id),
+enum core_model { CORE_EACH_MODEL(CORE_MODEL_ID, CORE_MODEL_ID) };
 
 /* Tolerances of tables, which core/choices.def quotes. A request may give the least up to 1. */
 #define CORE_LUT_TOLERANCE_MIN 1e-6
@@ -484,6 +481,12 @@ double core_call_cost(const core_profile *profile, unsigned wanted);
 /* Does the same as core_eval_f64() for profiles of the evaluators f32 and lut. */
 void core_eval_f32(const core_profile *profile, enum core_quantity quantity, size_t n,
                    const float *r, float *out);
+
+/* Does the same for profiles of any evaluator. Radii and values are those of its precision, at most
+ * CORE_EVAL_ANY_MAX. */
+enum { CORE_EVAL_ANY_MAX = 1024 };
+void core_eval_any(const core_profile *profile, enum core_quantity quantity, size_t n,
+                   const double *r, double *out);
 
 /* Inverts the cdf: writes r[n] in mm such that cdf(r) = u, for u[n] from 0 to 1 inclusive. u = 0
  * gives r = 0, and u = 1 gives infinity. Uniform random u give radii whose density is proportional

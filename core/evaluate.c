@@ -261,3 +261,20 @@ void core_eval_f32(const core_profile *profile, enum core_quantity quantity, siz
     widely(profile->lut != NULL ? profile->source : profile, quantity, n, r, out);
   }
 }
+
+void core_eval_any(const core_profile *profile, enum core_quantity quantity, size_t n,
+                   const double *r, double *out) {
+  float narrow_r[CORE_EVAL_ANY_MAX] = {0}, value[CORE_EVAL_ANY_MAX];
+  assert(n <= CORE_EVAL_ANY_MAX);
+  if (profile->evaluator == CORE_EVALUATOR_F64) {
+    core_eval_f64(profile, quantity, n, r, out);
+    return;
+  }
+  for (size_t i = 0; i < n; i++) {
+    narrow_r[i] = (float)r[i];
+  }
+  core_eval_f32(profile, quantity, n, narrow_r, value);
+  for (size_t i = 0; i < n; i++) {
+    out[i] = (double)value[i];
+  }
+}

@@ -61,42 +61,37 @@ static void add_node(const struct boundary *b, double weight, double v, double u
   sum->second = dd_add(sum->second, dd_from(measured * mu));
 }
 
-/* Integrates the part near normal incidence, where v may be tiny. The variable is ratio = v / v0,
- * and each panel is twice as long as the one nearer to v = 0. */
+/* Adds a panel to the sums. end NULL: the variable is v / v0. Otherwise it is (1 - v) / end. */
+static void add_panel(const struct boundary *b, const dd *end, double from, double to,
+                      struct moments *sum) {
+  const double half = 0.5 * (to - from), middle = 0.5 * (to + from);
+  for (int i = 0; i < 2 * CORE_GAUSS_HALF; i++) {
+    const double *node = core_gauss[i / 2];
+    const double at = fma(i % 2 ? half : -half, node[0], middle);
+    const double u =
+        end != NULL ? fma(end->hi, at, end->lo * at) : fma(-b->v0.hi, at, 1) - b->v0.lo * at;
+    add_node(b, half * node[1], end != NULL ? 1 - u : at, u, sum);
+  }
+}
+
+/* Integrates the part near normal incidence, where v may be tiny. Each panel is twice as long as the
+ * one nearer to v = 0. */
 static struct moments sum_near_normal(const struct boundary *b) {
   struct moments sum = {{0, 0}, {0, 0}};
   const double end = 0.5 / dd_round(b->v0);
   for (double from = 1; from < end; from *= 2) {
-    const double to = fmin(2 * from, end);
-    const double half = 0.5 * (to - from);
-    const double middle = 0.5 * (to + from);
-    for (int i = 0; i < 2 * CORE_GAUSS_HALF; i++) {
-      const double *node = core_gauss[i / 2];
-      const double ratio = fma(i % 2 ? half : -half, node[0], middle);
-      const double u = fma(-b->v0.hi, ratio, 1) - b->v0.lo * ratio;
-      add_node(b, half * node[1], ratio, u, &sum);
-    }
+    add_panel(b, NULL, from, fmin(2 * from, end), &sum);
   }
   return sum;
 }
 
-/* Integrates the part near grazing incidence: u = 1 - v from 0 to end. The variable is share = u /
- * end. A pole lies at u = -pole, so the panels grow with their distance to it. */
+/* Integrates the part near grazing incidence: u = 1 - v from 0 to end. A pole lies at u = -pole, so
+ * the panels grow with their distance to it. */
 static struct moments sum_near_grazing(const struct boundary *b, dd end, double pole) {
   struct moments sum = {{0, 0}, {0, 0}};
-  double from = 0;
   double to = fmin(pole / dd_round(end), 1);
-  while (from < 1) {
-    const double half = 0.5 * (to - from);
-    const double middle = 0.5 * (to + from);
-    for (int i = 0; i < 2 * CORE_GAUSS_HALF; i++) {
-      const double *node = core_gauss[i / 2];
-      const double share = fma(i % 2 ? half : -half, node[0], middle);
-      const double u = fma(end.hi, share, end.lo * share);
-      add_node(b, half * node[1], 1 - u, u, &sum);
-    }
-    from = to;
-    to = fmin(2 * to, 1);
+  for (double from = 0; from < 1; from = to, to = fmin(2 * to, 1)) {
+    add_panel(b, &end, from, to, &sum);
   }
   return sum;
 }

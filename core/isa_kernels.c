@@ -4,29 +4,25 @@
 
 #include "core/kernels.h"
 
-/* Positions of the models in the tables below. */
-enum model_index {
-#define CORE_MODEL(id, IDENT, name, formula, kernels, variant, parameters, source) INDEX_##IDENT,
-#include "core/models.def"
-  MODELS
-};
+/* Positions of the models in the table below. */
+#define INDEX(id, IDENT, ...) INDEX_##IDENT,
+enum model_index { CORE_EACH_MODEL(INDEX, CORE_NO_SUM) MODELS };
 
-#define CORE_MODEL(id, IDENT, name, formula, kernels, variant, parameters, source)                 \
+#define DECLARE(id, IDENT, name, formula, kernels, ...)                                            \
   CORE_ISA_LEVELS(CORE_KERNELS_DECLARE, kernels)
-#include "core/models.def"
+CORE_EACH_MODEL(DECLARE, CORE_NO_SUM)
 
-static const struct core_kernels kernels[MODELS][CORE_ISA_COUNT] = {
-#define CORE_MODEL(id, IDENT, name, formula, kernels, variant, parameters, source)                 \
+#define KERNELS(id, IDENT, name, formula, kernels, ...)                                            \
   [INDEX_##IDENT] = {CORE_ISA_LEVELS(CORE_KERNELS, kernels)},
-#include "core/models.def"
-};
+static const struct core_kernels kernels[MODELS][CORE_ISA_COUNT] = {
+    CORE_EACH_MODEL(KERNELS, CORE_NO_SUM)};
 
 const struct core_kernels *core_isa_kernels(const core_isa *isa, enum core_model model) {
   switch (model) {
-#define CORE_MODEL(id, IDENT, name, formula, family, variant, parameters, source)                  \
+#define CASE(id, IDENT, ...)                                                                       \
   case CORE_MODEL_##IDENT:                                                                         \
     return &kernels[INDEX_##IDENT][isa->index];
-#include "core/models.def"
+    CORE_EACH_MODEL(CASE, CORE_NO_SUM)
   default:
     break;
   }

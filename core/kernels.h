@@ -178,10 +178,10 @@ typedef struct core_preparation {
  * faults that show only in preparing. */
 typedef core_fault core_check_function(const core_inputs *inputs, core_radii_range *radii);
 typedef core_fault core_prepare_function(const core_inputs *inputs, core_preparation *preparation);
-#define CORE_MODEL(id, IDENT, name, formula, kernels, variant, parameters, source)                 \
+#define CORE_DECLARE_FORMULA(id, IDENT, name, formula, ...)                                        \
   core_check_function core_##formula##_check;                                                      \
   core_prepare_function core_##formula##_prepare;
-#include "core/models.def"
+CORE_EACH_MODEL(CORE_DECLARE_FORMULA, CORE_NO_SUM)
 
 /* Returns the relative error of dR/dr of the model `transport` where it comes from the table of
  * solutions. */

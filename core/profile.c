@@ -32,13 +32,11 @@ struct model {
 #define MODULATES (BIT(INDEX) | BIT(MHZ)) /* it is an analytic function of sigma_a (core/paths.h) */
 #define TAKEN_BY_ALL (BIT(TOLERANCE) | BIT(COS_IN) | BIT(COS_OUT))
 
-static const struct model models[] = {
-#define CORE_MODEL(id, IDENT, name, formula, kernels, variant, parameters, source)                 \
+#define MODEL(id, IDENT, name, formula, kernels, variant, parameters, source)                      \
   {id, core_##formula##_check, core_##formula##_prepare, variant, parameters, {0}},
-#define CORE_SUM(id, IDENT, name, FIRST, SECOND, source)                                           \
+#define SUM(id, IDENT, name, FIRST, SECOND, source)                                                \
   {id, NULL, NULL, 0, 0, {CORE_MODEL_##FIRST, CORE_MODEL_##SECOND}},
-#include "core/models.def"
-};
+static const struct model models[] = {CORE_EACH_MODEL(MODEL, SUM)};
 
 #define PI 3.14159265358979323846
 

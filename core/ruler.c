@@ -26,23 +26,6 @@ enum {
              CORE_QUANTITY_PDF | CORE_QUANTITY_RING | CORE_QUANTITY_TRANSFER,
 };
 
-/* Evaluates a profile of any evaluator. Radii are exact in the evaluator's precision. */
-static void evaluate_profile(const core_profile *profile, enum core_quantity quantity, size_t n,
-                             const double *r, double *out) {
-  float near[CORE_RULER_RADII], value[CORE_RULER_RADII];
-  if (profile->evaluator == CORE_EVALUATOR_F64) {
-    core_eval_f64(profile, quantity, n, r, out);
-    return;
-  }
-  for (size_t i = 0; i < n; i++) {
-    near[i] = (float)r[i];
-  }
-  core_eval_f32(profile, quantity, n, near, value);
-  for (size_t i = 0; i < n; i++) {
-    out[i] = (double)value[i];
-  }
-}
-
 /* Returns the relative error of a value. least: absolute differences below this count as
  * underflow. */
 static double off_by(enum core_quantity quantity, double value, double truth, double albedo,
@@ -91,7 +74,7 @@ void core_model_errors_at(const core_profile *profile, const core_profile *trans
   }
   for (unsigned left = wanted & COMPARED; left != 0; left &= left - 1) {
     const enum core_quantity quantity = left & ~(left - 1);
-    evaluate_profile(profile, quantity, n, r, value);
+    core_eval_any(profile, quantity, n, r, value);
     core_eval_f64(transport, quantity, n, r, truth);
     for (size_t i = 0; i < n; i++) {
       if (r[i] > 0 || !isinf(truth[i])) {

@@ -17,20 +17,6 @@ bool core_table_has(enum core_quantity quantity) {
          quantity == CORE_QUANTITY_S;
 }
 
-/* Evaluates R[n] in double precision by the profile's kernel. */
-static void evaluate_R(const core_profile *profile, size_t n, const double *r, double *R) {
-  if (profile->evaluator == CORE_EVALUATOR_F64) {
-    core_eval_f64(profile, CORE_QUANTITY_R, n, r, R);
-    return;
-  }
-  for (size_t i = 0; i < n; i++) {
-    const float narrow = (float)r[i];
-    float value;
-    core_eval_f32(profile, CORE_QUANTITY_R, 1, &narrow, &value);
-    R[i] = (double)value;
-  }
-}
-
 /* Returns the exponent of the least radius of the samples. A peer may have sent any bits: the
  * result is within the exponents of a double. */
 static int samples_exponent(const core_profile *profile) {
@@ -49,7 +35,7 @@ void core_lut_samples(const core_profile *profile, double *r, double *R) {
     memcpy(R, profile->lut + profile->lut_count - CORE_LUT_SAMPLE_WORDS,
            CORE_LUT_SAMPLES * sizeof *R);
   } else {
-    evaluate_R(profile, CORE_LUT_SAMPLES, r, R);
+    core_eval_any(profile, CORE_QUANTITY_R, CORE_LUT_SAMPLES, r, R);
   }
 }
 

@@ -26,6 +26,14 @@ void tools_check(core_fault fault, const char *what) {
   }
 }
 
+void *tools_allocate(size_t count, size_t size) {
+  void *memory = calloc(count, size);
+  if (memory == NULL) {
+    tools_fail("out of memory");
+  }
+  return memory;
+}
+
 /* ---- files ----------------------------------------------------------------------------------- */
 
 void tools_make_folder(const char *path) {

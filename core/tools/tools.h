@@ -16,6 +16,9 @@ _Noreturn void tools_fail(const char *format, ...) __attribute__((format(printf,
 /* Calls tools_fail() if there is a fault. `what` names the function that refused the input. */
 void tools_check(core_fault fault, const char *what);
 
+/* Returns memory for `count` things of this size, all 0, which the caller frees. */
+void *tools_allocate(size_t count, size_t size);
+
 /* ---- files ----------------------------------------------------------------------------------- */
 
 /* Makes a folder unless it exists. */

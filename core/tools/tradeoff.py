@@ -52,9 +52,8 @@ class Subject(NamedTuple):
 MODELS = {
     name: (number, formula or "sum")
     for number, name, formula in re.findall(
-        r'^CORE_(?:MODEL|SUM)\((\d+), \w+, "([^"]+)",\s*([a-z_]*)',
+        r'(?:MODEL|SUM)\((\d+), \w+, "([^"]+)",[\s\\]*([a-z_]*)',
         (CORE / "models.def").read_text(),
-        re.MULTILINE,
     )
 }
 

@@ -24,14 +24,14 @@ enum family { NONE, DIPOLE, BURLEY, TRANSPORT };
 
 static enum family family_of(unsigned model, int *variant) {
   switch (model) {
-#define CORE_MODEL(id, IDENT, name, formula, kernels, variant_of_model, parameters, source)        \
+#define FAMILY(id, IDENT, name, formula, kernels, variant_of_model, parameters, source)            \
   case id:                                                                                         \
     *variant = (variant_of_model);                                                                 \
     return strcmp(#formula, "dipole") == 0      ? DIPOLE                                           \
            : strcmp(#formula, "burley") == 0    ? BURLEY                                           \
            : strcmp(#formula, "transport") == 0 ? TRANSPORT                                        \
                                                 : NONE;
-#include "core/models.def"
+    CORE_EACH_MODEL(FAMILY, CORE_NO_SUM)
   default:
     return NONE;
   }

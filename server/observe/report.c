@@ -74,11 +74,10 @@ static void report_replies(const struct reporter *to) {
 static void report_models(const struct reporter *to) {
   static const struct report_family family = {"model_radii", REPORT_COUNTER,
                                               "radii evaluated, by model, once for each channel"};
-#define CORE_MODEL(id, IDENT, name, formula, kernels, variant, parameters, source)                 \
+#define REPORT_RADII(id, IDENT, name, ...)                                                         \
   report(to, "radii_" name, &family, "_total", "model=\"" name "\"",                               \
          counted(to, STATS_RADII_##IDENT));
-#define CORE_SUM(id, IDENT, name, FIRST, SECOND, source) CORE_MODEL(id, IDENT, name, , , , , source)
-#include "core/models.def"
+  CORE_EACH_MODEL(REPORT_RADII, REPORT_RADII)
 }
 
 /* ---- latencies ------------------------------------------------------------------------------- */

@@ -13,11 +13,7 @@ void stats_count_reply(struct stats *stats, unsigned status) {
 }
 
 void stats_count_radii(struct stats *stats, unsigned model, uint64_t radii) {
-  static const uint16_t index_of[] = {
-#define CORE_MODEL(id, IDENT, name, formula, kernels, variant, parameters, source)                 \
-  [id] = STATS_RADII_##IDENT,
-#define CORE_SUM(id, IDENT, name, FIRST, SECOND, source) [id] = STATS_RADII_##IDENT,
-#include "core/models.def"
-  };
+#define INDEX_OF(id, IDENT, ...) [id] = STATS_RADII_##IDENT,
+  static const uint16_t index_of[] = {CORE_EACH_MODEL(INDEX_OF, INDEX_OF)};
   stats_add(stats, (enum stats_index)index_of[model], radii);
 }

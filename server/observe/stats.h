@@ -7,6 +7,8 @@
 #include <stddef.h>
 #include <stdint.h>
 
+#include "core/models.def"
+
 enum stats_index {
 #define SERVER_STATISTIC(IDENT, name, type, help) STATS_##IDENT,
 #include "server/observe/stats.def"
@@ -17,11 +19,8 @@ enum stats_index {
 #undef WIRE_STATUS
   STATS_RADII, /* first counter of the radii by model */
   STATS_RADII_BEFORE = STATS_RADII - 1,
-#define CORE_MODEL(id, IDENT, name, formula, kernels, variant, parameters, source)                 \
-  STATS_RADII_##IDENT,
-#define CORE_SUM(id, IDENT, name, FIRST, SECOND, source) STATS_RADII_##IDENT,
-#include "core/models.def"
-  STATS_COUNT
+#define STATS_RADII_OF(id, IDENT, ...) STATS_RADII_##IDENT,
+  CORE_EACH_MODEL(STATS_RADII_OF, STATS_RADII_OF) STATS_COUNT
 };
 
 /* Each worker has its own shard, which no other thread writes. All other threads share the

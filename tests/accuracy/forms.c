@@ -13,12 +13,10 @@ static const struct formula {
   int variant;
   unsigned parts[2]; /* of a sum */
 } formulas[] = {
-#define CORE_MODEL(id, IDENT, name, formula, kernels, variant, parameters, source)                 \
-  {id, #formula, variant, {0}},
-#define CORE_SUM(id, IDENT, name, FIRST, SECOND, source)                                           \
+#define MODEL(id, IDENT, name, formula, kernels, variant, ...) {id, #formula, variant, {0}},
+#define SUM(id, IDENT, name, FIRST, SECOND, source)                                                \
   {id, "sum", 0, {CORE_MODEL_##FIRST, CORE_MODEL_##SECOND}},
-#include "core/models.def"
-};
+    CORE_EACH_MODEL(MODEL, SUM)};
 
 static const struct formula *formula_of(unsigned model) {
   size_t i = 0;

@@ -13,11 +13,8 @@
 
 static const enum core_quantity both[] = {CORE_QUANTITY_BY_SIGMA_A, CORE_QUANTITY_BY_SIGMA_S};
 
-static const unsigned models[] = {
-#define CORE_MODEL(id, IDENT, name, formula, kernels, variant, parameters, source) id,
-#define CORE_SUM(id, IDENT, name, FIRST, SECOND, source) id,
-#include "core/models.def"
-};
+#define ID(id, ...) id,
+static const unsigned models[] = {CORE_EACH_MODEL(ID, ID)};
 
 static core_fault prepare(core_profile *profile, unsigned model, unsigned evaluator,
                           const core_medium *medium, const core_parameters *parameters) {

@@ -96,11 +96,8 @@ static const enum core_quantity quantities[CORE_ELEMENTWISE_COUNT] = {
   CORE_IF_##SHAPE([CORE_ELEMENTWISE_##IDENT] = CORE_QUANTITY_##IDENT, )
     CORE_EACH_QUANTITY(QUANTITY_OF, )};
 
-static const unsigned models[] = {
-#define CORE_MODEL(id, IDENT, name, formula, kernels, variant, parameters, source) id,
-#define CORE_SUM(id, IDENT, name, FIRST, SECOND, source) id,
-#include "core/models.def"
-};
+#define ID(id, ...) id,
+static const unsigned models[] = {CORE_EACH_MODEL(ID, ID)};
 
 /* FINE is f64 at its tightest tolerance. */
 enum evaluator { F64, F32, LUT, FINE, EVALUATORS };

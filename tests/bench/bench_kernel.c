@@ -89,10 +89,10 @@ static struct work *add(struct comparison *comparison, const char *name,
  * loop. */
 static int plain_switches(unsigned model) {
   switch (model) {
-#define CORE_MODEL(id, IDENT, name, formula, kernels, variant, parameters, source)                 \
+#define SWITCHES(id, IDENT, name, formula, kernels, variant, parameters, source)                   \
   case id:                                                                                         \
     return strcmp(#formula, "dipole") == 0 ? (variant) : -1;
-#include "core/models.def"
+    CORE_EACH_MODEL(SWITCHES, CORE_NO_SUM)
   default:
     return -1;
   }

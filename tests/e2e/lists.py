@@ -34,12 +34,6 @@ def choices(of: str) -> dict[str, int]:
     return {name: int(number) for number, _, name, _ in entries(of)}
 
 
-def models(macro: str) -> dict[str, int]:
-    """Returns the ids by name of the entries MACRO(id, IDENT, "name", ...) of core/models.def."""
-    listed = re.findall(rf'^{macro}\((\d+), [^"]*"(.*?)"', read_list("core/models.def"), re.M)
-    return {name: int(number) for number, name in listed}
-
-
 class Parameter(NamedTuple):
     """A parameter of requests: its id and its range."""
 
@@ -56,7 +50,14 @@ class Moments(NamedTuple):
     eta_max: float
 
 
-MODELS = {**models("CORE_MODEL"), **models("CORE_SUM")}
+# by name: the id, and what follows the name
+_MODELS = {
+    name: (int(number), about)
+    for number, name, about in re.findall(
+        r'(?:MODEL|SUM)\((\d+), \w+, "(.*?)",([^"]*)', read_list("core/models.def")
+    )
+}
+MODELS = {name: number for name, (number, _) in _MODELS.items()}
 MOMENTS = {
     name: Moments(int(number), *map(float, rest.split(",")[-2:]))
     for number, _, name, rest in entries("MOMENTS")
@@ -83,13 +84,7 @@ MODULATED = QUANTITIES["phase"] | QUANTITIES["modulation"]  # with the parameter
 
 def has_derivatives(model: str) -> bool:
     """Whether the model has the quantities DERIVATIVES."""
-    return model.removesuffix("+single") in {
-        name
-        for name, about in re.findall(
-            r'^CORE_MODEL\(\d+, \w+, "(.*?)",([^"]*)', read_list("core/models.def"), re.M
-        )
-        if "DERIVES" in about
-    }
+    return "DERIVES" in _MODELS[model.removesuffix("+single")][1]
 
 
 # ---- what only a daemon can tell -----------------------------------------------------------------

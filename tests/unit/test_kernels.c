@@ -55,11 +55,9 @@ static const struct {
   unsigned model;
   const char *kernels;
 } kernels_of[] = {
-#define CORE_MODEL(id, IDENT, name, formula, kernels, variant, parameters, source) {id, #kernels},
-#define CORE_SUM(id, IDENT, name, FIRST, SECOND, source) {id, "sum"},
-#include "core/models.def"
-};
-enum { MODELS = sizeof kernels_of / sizeof kernels_of[0] };
+#define MODEL(id, IDENT, name, formula, kernels, ...) {id, #kernels},
+#define SUM(id, ...) {id, "sum"},
+    CORE_EACH_MODEL(MODEL, SUM)};
 
 /* Returns whether an earlier model has the same kernels and differs only in its coefficients. */
 static bool is_like_an_earlier_one(size_t model) {

@@ -166,10 +166,7 @@ static void transform(double *from, size_t size, size_t count, size_t stride) {
 }
 
 static void write_table(const struct solved *media, const char *path) {
-  terms *all = malloc(sizeof *all);
-  if (all == NULL) {
-    tools_fail("out of memory");
-  }
+  terms *all = tools_allocate(1, sizeof *all);
   for (size_t e = 0; e < ETAS; e++) {
     for (size_t k = 0; k < GS; k++) {
       for (size_t c = 0; c < CONES; c++) {
@@ -311,10 +308,8 @@ int main(int count, char **arguments) {
   if (count != (compares ? 4 : 3)) {
     tools_fail("usage: apertures [compare] FOLDER FILE");
   }
-  struct run run = {.folder = arguments[count - 2], .media = calloc(MEDIA, sizeof *run.media)};
-  if (run.media == NULL) {
-    tools_fail("out of memory");
-  }
+  struct run run = {.folder = arguments[count - 2],
+                    .media = tools_allocate(MEDIA, sizeof *run.media)};
   solve_media(&run, compares ? MADE : 0, compares ? COMPARED : MADE);
   (compares ? compare : write_table)(run.media, arguments[count - 1]);
   free(run.media);

@@ -34,14 +34,6 @@ enum {
 #define R_NOISE 1e-18
 #define R_DOUBTFUL 1e-17
 
-static void *allocate(size_t count, size_t size) {
-  void *memory = calloc(count, size);
-  if (memory == NULL) {
-    tools_fail("out of memory");
-  }
-  return memory;
-}
-
 /* Returns cos(pi (i + 1/2) k / n). */
 static double wave(size_t k, size_t i, size_t n) {
   double sine, cosine;
@@ -280,7 +272,7 @@ static void put_series(table_bytes *writer, double quantum, double *values,
                        const struct shape *shape, size_t keep) {
   transform_all(values, shape);
   const size_t size = size_from(shape, 0), kept = keep * size_from(shape, 1);
-  int64_t *rounded = allocate(size, sizeof *rounded);
+  int64_t *rounded = tools_allocate(size, sizeof *rounded);
   for (size_t i = 0; i < kept; i++) {
     const double value = values[i] / quantum;
     if (!(fabs(value) < 0x1p47)) {
@@ -303,7 +295,7 @@ static double quotient(const table_sample *sample, size_t i, size_t p, size_t k)
 }
 
 static void put_side(table_bytes *writer, double quantum, const table_sample *samples, size_t nv) {
-  double *values = allocate(NODES_X * NODES_T * nv, sizeof *values);
+  double *values = tools_allocate(NODES_X * NODES_T * nv, sizeof *values);
   for (size_t i = 0; i < NODES_T; i++) {
     for (size_t j = 0; j < nv; j++) {
       values[i * nv + j] = fn_log(samples[j].total[i] / samples[j].albedo[i]);
@@ -330,10 +322,11 @@ static void put_zero(table_bytes *writer) {
 }
 
 table_bytes nodes_encode(const double *field, const table_sample samples[NODES]) {
-  table_bytes writer = {allocate(BYTES_MAX, 1), TRANSPORT_TABLE_HEADER_BYTES};
+  table_bytes writer = {tools_allocate(BYTES_MAX, 1), TRANSPORT_TABLE_HEADER_BYTES};
   const double quantum = field[TRANSPORT_TABLE_QUANTUM];
   put_side(&writer, quantum, samples, NODES_BELOW_1);
   put_side(&writer, quantum, samples + NODES_BELOW_1, NODES_FROM_1);
+  writer.isotropic = writer.length;
   for (size_t i = 0; i < SIDES * (2 + PANELS); i++) {
     put_zero(&writer);
   }
@@ -362,7 +355,7 @@ static void solve_totals(void *context, size_t li) {
 }
 
 static void put_totals(table_bytes *writer, const struct totals *totals, bool diffuse) {
-  double *values = allocate(TOTALS_G * TOTALS_U * TOTALS_V, sizeof *values);
+  double *values = tools_allocate(TOTALS_G * TOTALS_U * TOTALS_V, sizeof *values);
   for (size_t li = 0; li < TOTALS_G * TOTALS_U; li++) {
     const double albedo =
         transport_table_albedo_of_u(u_point(totals->field, li % TOTALS_U, TOTALS_U));
@@ -532,7 +525,7 @@ static void put_differences(table_bytes *writer, const transport_table *isotropi
   const size_t first = side == TRANSPORT_TABLE_BELOW_1 ? 0 : NODES_D_BELOW_1;
   const size_t nv = side == TRANSPORT_TABLE_BELOW_1 ? NODES_D_BELOW_1 : NODES_D_FROM_1;
   const size_t radii = first_radius(PANELS), media = NODES_D_G * NODES_D_U * nv;
-  double *values = allocate(radii * media, sizeof *values);
+  double *values = tools_allocate(radii * media, sizeof *values);
   for (size_t l = 0; l < NODES_D_G; l++) {
     if (l != NODES_D_G_ZERO) { /* D is 0 if g is 0 */
       add_differences(isotropic, samples, l, first, nv, values);
@@ -552,8 +545,9 @@ void nodes_encode_difference(table_bytes *table, const table_sample samples[NODE
   if (!transport_table_open(&isotropic, table->bytes, table->length)) {
     tools_fail("the table cannot be read");
   }
-  struct totals totals = {isotropic.field, 0, allocate(TOTALS_G * TOTALS_U, sizeof *totals.at)};
-  table_bytes writer = {allocate(BYTES_MAX, 1), (size_t)(isotropic.difference - table->bytes)};
+  struct totals totals = {isotropic.field, 0,
+                          tools_allocate(TOTALS_G * TOTALS_U, sizeof *totals.at)};
+  table_bytes writer = {tools_allocate(BYTES_MAX, 1), table->isotropic};
   memcpy(writer.bytes, table->bytes, writer.length);
   for (enum transport_table_side side = 0; side < TRANSPORT_TABLE_SIDES; side++) {
     totals.side = side;

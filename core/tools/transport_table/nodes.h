@@ -31,6 +31,7 @@ double nodes_albedo_between(const double *field, size_t i);
 typedef struct table_bytes {
   uint8_t *bytes;
   size_t length;
+  size_t isotropic; /* the length without the part for g other than 0 */
 } table_bytes;
 
 /* Makes a table with the part for isotropic scattering; D is 0. */

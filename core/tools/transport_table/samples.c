@@ -31,10 +31,7 @@ size_t sample_level(double g) {
 void sample_make(table_sample *sample, double g, size_t media, size_t radii) {
   const size_t numbers = media * (3 + 2 * radii);
   *sample = (struct table_sample){.g = g, .level = SAMPLE_NORMAL, .media = media, .radii = radii};
-  sample->numbers = calloc(numbers, sizeof(double));
-  if (sample->numbers == NULL) {
-    tools_fail("out of memory");
-  }
+  sample->numbers = tools_allocate(numbers, sizeof(double));
   sample->albedo = sample->numbers;
   sample->eta = sample->albedo + media;
   sample->x = sample->eta + media;
@@ -95,11 +92,7 @@ static double *results_of(const table_sample *sample, size_t *count) {
     return sample->total;
   }
   *count = 2 * sample->media * SOLVER_WAVENUMBERS_MAX;
-  double *exitances = calloc(*count, sizeof *exitances);
-  if (exitances == NULL) {
-    tools_fail("out of memory");
-  }
-  return exitances;
+  return tools_allocate(*count, sizeof(double));
 }
 
 static void free_results(double *results, const table_sample *sample) {
