@@ -66,7 +66,7 @@ $(BUILD)/prometheus:
 	check-fuzz-long check-truth check-truth-long check-fits check-varying check-rings rings soak truth \
 	fuzz fuzz-merge bench
 
-check-programs: $(TESTS) $(addprefix $(BUILD)/,dipoled-counting wire-lists soak-load tests/bits tests/accuracy/truth)
+check-programs: $(TESTS) $(addprefix $(BUILD)/,dipoled-counting wire-lists soak-load tests/bits tests/accuracy/truth transport-table apertures)
 
 # What .ci/run runs after `make check`, and what else takes long. `make check-PART` runs one of them.
 CI_PARTS := bits-aarch64 pipeline soak-long services+fuzz packages deb
