@@ -189,6 +189,7 @@ def test_small_requests_go_on_beside_a_hundred_stacks(daemon):
         alone = fast.eval("better", SKIN, R_MM).R
         for _ in range(300):
             assert np.array_equal(fast.eval("better", SKIN, R_MM).R, alone)
+        assert fast.statistics()["cache_entries"] < 100  # all small requests come before the last stacks
         slow.close()
         assert np.array_equal(fast.eval("better", SKIN, R_MM).R, alone)
 
