@@ -100,6 +100,7 @@ struct solver_layers {
   struct grid *grid[GRIDS]; /* [0]: the finest grid; [1]: the next coarser one */
   const double *floor;      /* least relative errors: next to the source, and far away */
   double error[SIDES][SOLVER_ERROR_RADII];
+  size_t last; /* index of the last of these radii where light has not decayed by e^-DECAYS_MOST */
 };
 
 /* ---- the medium ---------------------------------------------------------------------------- */
@@ -255,7 +256,7 @@ static size_t find_like(const struct grid *of, const struct solver_layers *all) 
   for (size_t i = 0; i < all->count && above < FILM_DEPTH && all->layer[i].eta == all->layer[0].eta;
        i++) {
     if (depth_from(of, all, i) >= LIKE_DEPTH) {
-      return of->layer[i].extinction >= 1 ? i : all->count;
+      return i == 0 || of->layer[i].extinction >= 1 ? i : all->count;
     }
     above += of->layer[i].extinction * of->layer[i].thickness;
   }
@@ -535,6 +536,7 @@ static void find_errors(solver_layers *of, double worst[SIDES]) {
                  : fmax(margin, MARGIN * solver_shared_by_cuts(&phase, fine->moments,
                                                                of->grid[1]->moments));
   }
+  of->last = 0;
   for (size_t side = 0; side < of->sides; side++) {
     const exitance_grid *known = &fine->wavenumbers[side];
     const double guessed = GUESSED / creal(known->point[known->panels]);
@@ -550,8 +552,10 @@ static void find_errors(solver_layers *of, double worst[SIDES]) {
           solver_error_between(margin, value, value_at(of->grid[1], side, r_mm, &size));
       above = fmax(error, units < guessed ? above : 0);
       of->error[side][i] = above;
-      const bool counts = r * NEIGHBOURS >= RADIUS_COUNTS && r <= SOLVER_RADIUS_MOST * NEIGHBOURS &&
-                          units * fine->rate < DECAYS_MOST;
+      const bool decays = units * fine->rate >= DECAYS_MOST;
+      of->last = decays || of->last > i ? of->last : i;
+      const bool counts =
+          r * NEIGHBOURS >= RADIUS_COUNTS && r <= SOLVER_RADIUS_MOST * NEIGHBOURS && !decays;
       worst[side] = counts ? fmax(worst[side], above) : worst[side];
     }
   }
@@ -667,7 +671,7 @@ transport_number solver_layers_at(const solver_layers *solution, size_t side, do
   }
   const double unit = solution->grid[0]->unit_mm / solution->radius_mm;
   const double error = fmax(solver_floor_at(solution->floor, unit, solution->layer[0].eta, r),
-                            solver_error_near(solution->error[side], r));
+                            solver_error_near(solution->error[side], r, solution->last));
   if (value > 0 && r <= RADIUS_MOST && error < 1) {
     return (transport_number){value, error * value + unknown};
   }

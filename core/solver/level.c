@@ -146,7 +146,7 @@ double solver_error_between(double margin, double fine, double coarse) {
   return isfinite(error) ? error : (double)INFINITY;
 }
 
-double solver_error_near(const double error[SOLVER_ERROR_RADII], double r) {
+double solver_error_near(const double error[SOLVER_ERROR_RADII], double r, size_t last) {
   enum { SIDE = 2 };
   const double place =
       fn_log(fmax(r, SOLVER_ERROR_LEAST) / SOLVER_ERROR_LEAST) / fn_log(SOLVER_ERROR_RATIO) + 0.5;
@@ -154,7 +154,7 @@ double solver_error_near(const double error[SOLVER_ERROR_RADII], double r) {
   double most = 0;
   for (size_t i = middle > SIDE ? middle - SIDE : 0; i <= middle + SIDE && i < SOLVER_ERROR_RADII;
        i++) {
-    most = fmax(most, error[i]);
+    most = fmax(most, i <= middle || i <= last ? error[i] : 0);
   }
   return most;
 }

@@ -97,8 +97,8 @@ double solver_shared_by_cuts(const solver_phase *phase, size_t fine, size_t coar
 double solver_error_between(double margin, double fine, double coarse);
 
 /* Returns the largest of the errors at five radii around r, because the difference of two grids is
- * 0 at some radii. */
-double solver_error_near(const double error[SOLVER_ERROR_RADII], double r);
+ * 0 at some radii. last: index of the last radius that counts for smaller ones. */
+double solver_error_near(const double error[SOLVER_ERROR_RADII], double r, size_t last);
 
 /* Returns the least relative error that is stated at the radius r, in reduced mean free paths. All
  * grids lack the waves beyond K, so that their difference does not show this error: it falls as r

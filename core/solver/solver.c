@@ -385,7 +385,7 @@ transport_number solver_at(const solver_solution *solution, size_t eta, double r
   }
   const double unit = solution->grid[0].scaled.unit;
   const double error = fmax(solver_floor_at(solution->floor, unit, solution->eta[eta], r),
-                            solver_error_near(solution->error[eta], r));
+                            solver_error_near(solution->error[eta], r, SOLVER_ERROR_RADII));
   if (value > 0 && error < 1) {
     return (transport_number){value, error * value};
   }
