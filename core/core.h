@@ -395,8 +395,12 @@ core_fault core_profile_prepare_until(core_profile *profile, const core_isa *isa
 /* The quantities of core/paths.h. Their errors are absolute, and their model errors not known. */
 enum {
   CORE_PATHS = CORE_QUANTITY_PATH | CORE_QUANTITY_DPF | CORE_QUANTITY_TIME,
-  CORE_MODULATED = CORE_QUANTITY_PHASE | CORE_QUANTITY_MODULATION
+  CORE_MODULATED_F = CORE_QUANTITY_PHASE_F | CORE_QUANTITY_MODULATION_F,
+  CORE_MODULATED = CORE_QUANTITY_PHASE | CORE_QUANTITY_MODULATION | CORE_MODULATED_F
 };
+
+/* The quantities at spatial frequencies, in place of radii. */
+enum { CORE_AT_FREQUENCIES = CORE_QUANTITY_TRANSFER | CORE_MODULATED_F };
 
 /* True if any of the quantities (bits) is a derivative of ln R, or follows from one. Their errors are
  * absolute. */
@@ -465,6 +469,7 @@ size_t core_profile_bytes(const core_profile *profile);
  *          The profile has to be prepared as for BY_SIGMA_A, and the layer has to absorb
  *   PHASE  the lag of light modulated with CORE_PARAMETER_MHZ, -arg R~ in degrees, not reduced to a
  *          circle; MODULATION  |R~| / R. R~ is R at the complex absorption sigma_a + i omega n / c
+ *   PHASE_F and MODULATION_F  likewise, of R(f) at spatial frequencies as of TRANSFER
  * The arrays need only their type's alignment and must not overlap. Values for radii that
  * core_radii_check_f64() faults are unspecified. */
 void core_eval_f64(const core_profile *profile, enum core_quantity quantity, size_t n,

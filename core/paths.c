@@ -137,28 +137,46 @@ static void continue_both(const core_modulation *of, const struct both *to, cons
   }
 }
 
-/* Sets ln_R[j * CHUNK + i] to that of node j at r[i]; n is at most CHUNK. */
-static void look_at(const core_modulation *of, size_t n, const double *r, double *ln_R) {
+static bool is_of_waves(enum core_quantity quantity) {
+  return (quantity & CORE_MODULATED_F) != 0;
+}
+
+static bool is_phase_of(enum core_quantity quantity) {
+  return (quantity & (CORE_QUANTITY_PHASE | CORE_QUANTITY_PHASE_F)) != 0;
+}
+
+/* Sets ln_R[j * CHUNK + i] to that of node j at r[i], or at the frequency r[i] if `waves`; n is at most
+ * CHUNK. */
+static void look_at(const core_modulation *of, bool waves, size_t n, const double *r,
+                    double *ln_R) {
   for (unsigned j = 0; j < of->nodes.count; j++) {
-    core_evaluate(&of->node[j], CORE_QUANTITY_LN_R, n, r, ln_R + j * CHUNK);
+    double *to = ln_R + j * CHUNK;
+    core_evaluate(&of->node[j], waves ? CORE_QUANTITY_TRANSFER : CORE_QUANTITY_LN_R, n, r, to);
+    for (size_t i = 0; i < n && waves; i++) {
+      to[i] = to[i] > 0 ? fn_log(to[i]) : -(double)INFINITY;
+    }
   }
+}
+
+static bool is_finite(const core_modulation *of, const double *ln_R) {
+  return isfinite(ln_R[0]) && isfinite(ln_R[(of->nodes.count - 1) * CHUNK]);
 }
 
 void core_modulation_eval(const core_profile *profile, enum core_quantity quantity, size_t n,
                           const double *r, double *out) {
   const core_modulation *of = profile->modulation;
   assert(of != NULL);
-  const bool is_phase = quantity == CORE_QUANTITY_PHASE;
+  const bool is_phase = is_phase_of(quantity);
   const unsigned nodes = of->nodes.count;
   const struct both to = both_of(of);
   double ln_R[NODES * CHUNK];
   for (size_t done = 0; done < n; done += CHUNK) {
     const size_t count = n - done < CHUNK ? n - done : CHUNK;
-    look_at(of, count, r + done, ln_R);
+    look_at(of, is_of_waves(quantity), count, r + done, ln_R);
     for (size_t i = 0; i < count; i++) {
       /* Where R is infinite the paths have no length; where it is 0 there is no light. */
       double value = is_phase || (nodes > 0 && ln_R[i] < 0) ? 0 : 1;
-      if (nodes > 0 && isfinite(ln_R[i]) && isfinite(ln_R[(nodes - 1) * CHUNK + i])) {
+      if (nodes > 0 && is_finite(of, ln_R + i)) {
         core_continued at[2];
         continue_both(of, &to, ln_R + i, at);
         value = value_of(at, is_phase);
@@ -175,10 +193,14 @@ void core_modulation_eval(const core_profile *profile, enum core_quantity quanti
  * found. */
 enum { PLACES = 33 };
 #define AROUND 1.3
-#define MARGIN 3
-#define NEAREST_MFP 1e-3
+#define MARGIN 6
+/* Radii are at least this many mean free paths, and frequencies this share of the light's decay per mm,
+ * as nearer to 0 nothing changes. */
+#define NEAREST 1e-3
 /* An interpolation with a larger relative error is not trusted to know it. */
 #define UNKNOWN 0.05
+/* What rounding adds for each weight. */
+#define ROUNDING 1e-14
 
 double core_continued_error(const core_nodes *nodes, bool is_angle,
                             const core_continuation *const u[2], const core_continued at[2],
@@ -186,20 +208,37 @@ double core_continued_error(const core_nodes *nodes, bool is_angle,
   double complex last[2] = {0, 0}, first[2] = {0, 0}; /* first: of u[0] alone */
   double sum = 0;
   for (unsigned j = 0; j < nodes->count; j++) {
-    double complex by = u[0]->weight[j] * at[0].relative[j];
+    const double complex by_one = u[0]->weight[j] * at[0].relative[j];
+    double complex by = by_one;
     by -= u[1] != NULL ? u[1]->weight[j] * at[1].relative[j] : 0;
-    sum += error[j] * fabs(is_angle ? cimag(by) : creal(by));
+    sum += error[j] * fabs(is_angle ? cimag(by) : creal(by)) + ROUNDING * fn_abs(by_one);
     for (int k = 0; k < 2; k++) {
       first[k] += u[0]->last[k][j] * at[0].relative[j];
       last[k] -= u[1] != NULL ? u[1]->last[k][j] * at[1].relative[j] : 0;
     }
   }
-  sum += MARGIN * (fn_abs(first[0] + last[0]) + 0.25 * fn_abs(first[1] + last[1]));
-  const bool known = at[0].is_known && (u[1] == NULL || at[1].is_known);
-  return known && fmax(fn_abs(first[0]), fn_abs(first[1])) < UNKNOWN ? sum : (double)INFINITY;
+  const double cut = fn_abs(first[0] + last[0]) + 0.25 * fn_abs(first[1] + last[1]);
+  const double slow = fmax(fn_abs(first[0]), fn_abs(first[1]));
+  const bool known = at[0].is_known && (u[1] == NULL || at[1].is_known) && slow < UNKNOWN;
+  return known ? sum + MARGIN * cut : (double)INFINITY;
 }
 
-static double modulated_error(const core_profile *profile, bool is_phase, core_radii_range radii) {
+/* Sets the errors of ln R at the nodes. ln_R: at the radius or frequency of which it is. */
+static void find_node_errors(const core_modulation *of, bool waves, core_radii_range radii,
+                             const double *ln_R, double error[NODES]) {
+  for (unsigned j = 0; j < of->nodes.count; j++) {
+    const core_profile *node = &of->node[j];
+    const core_stated_errors stated =
+        core_profile_errors(node, waves ? CORE_QUANTITY_TRANSFER : CORE_QUANTITY_LN_R, radii);
+    error[j] =
+        1e-12 + (waves ? stated.numerical * node->albedo * fn_exp(fmin(-ln_R[j * CHUNK], 700))
+                       : stated.numerical + stated.numerical_per_mm * radii.most_mm);
+  }
+}
+
+static double modulated_error(const core_profile *profile, enum core_quantity quantity,
+                              core_radii_range radii) {
+  const bool waves = is_of_waves(quantity), is_phase = is_phase_of(quantity);
   const core_modulation *of = profile->modulation;
   if (of == NULL || of->nodes.count == 0 || radii.least_mm > radii.most_mm) {
     return 0;
@@ -207,22 +246,23 @@ static double modulated_error(const core_profile *profile, bool is_phase, core_r
   const struct both to = both_of(of);
   const core_continuation *const u[2] = {&to.to[0], &to.to[1]};
   double error[NODES], ln_R[NODES * CHUNK], r[PLACES];
-  const double near = NEAREST_MFP / core_sigma_t_prime(&profile->medium);
+  const double sigma_t_prime = core_sigma_t_prime(&profile->medium);
+  const double near =
+      NEAREST * (waves ? fn_abs(of->there) * sqrt(sigma_t_prime) : 1 / sigma_t_prime);
   const double least = fmax(radii.least_mm, near) / AROUND, most_mm = fmax(radii.most_mm, near);
   const double step = fn_log(most_mm * AROUND / least) / (PLACES - 1);
   for (int i = 0; i < PLACES; i++) {
     r[i] = least * fn_exp(step * i);
   }
-  look_at(of, PLACES, r, ln_R);
-  for (unsigned j = 0; j < of->nodes.count; j++) {
-    const core_stated_errors stated = core_profile_errors(&of->node[j], CORE_QUANTITY_LN_R, radii);
-    error[j] = stated.numerical + stated.numerical_per_mm * radii.most_mm + 1e-12;
-  }
+  look_at(of, waves, PLACES, r, ln_R);
   double most = 0;
   for (int i = 0; i < PLACES; i++) {
-    if (isfinite(ln_R[i]) && isfinite(ln_R[(of->nodes.count - 1) * CHUNK + i])) {
+    if (!is_finite(of, ln_R + i)) {
+      most = waves ? (double)INFINITY : most; /* R(f) is lost in its errors */
+    } else {
       core_continued at[2];
       continue_both(of, &to, ln_R + i, at);
+      find_node_errors(of, waves, radii, ln_R + i, error);
       const double value = value_of(at, is_phase);
       const double off = core_continued_error(&of->nodes, is_phase, u, at, error);
       const double rounded = profile->evaluator == CORE_EVALUATOR_F64 ? 0 : (double)FLT_EPSILON;
@@ -235,9 +275,8 @@ static double modulated_error(const core_profile *profile, bool is_phase, core_r
 
 core_stated_errors core_paths_errors(const core_profile *profile, enum core_quantity quantity,
                                      core_stated_errors derivative, core_radii_range radii) {
-  if ((quantity & (CORE_QUANTITY_PHASE | CORE_QUANTITY_MODULATION)) != 0) {
-    return (core_stated_errors){
-        .numerical = modulated_error(profile, quantity == CORE_QUANTITY_PHASE, radii)};
+  if ((quantity & CORE_MODULATED) != 0) {
+    return (core_stated_errors){.numerical = modulated_error(profile, quantity, radii)};
   }
   const double factor = per_derivative(profile, quantity);
   const bool any = radii.least_mm <= radii.most_mm;

@@ -77,11 +77,12 @@ double core_continued_error(const core_nodes *nodes, bool is_angle,
 void core_paths_make(const core_profile *profile, enum core_quantity quantity, size_t n,
                      const double *r, double *values);
 
-/* Evaluates PHASE or MODULATION at n radii. */
+/* Evaluates PHASE or MODULATION at n radii, PHASE_F or MODULATION_F at n frequencies. */
 void core_modulation_eval(const core_profile *profile, enum core_quantity quantity, size_t n,
                           const double *r, double *out);
 
-/* Returns the absolute error of one of these five quantities at radii from least to most.
+/* Returns the absolute error of one of these seven quantities at radii, or frequencies, from least to
+ * most.
  * derivative: the errors of BY_SIGMA_A there. */
 core_stated_errors core_paths_errors(const core_profile *profile, enum core_quantity quantity,
                                      core_stated_errors derivative, core_radii_range radii);

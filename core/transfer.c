@@ -214,18 +214,24 @@ void core_transfer(const core_profile *profile, size_t n, const double *f, doubl
 }
 
 static bool transforms(const core_profile *profile, unsigned wanted) {
-  return (wanted & CORE_QUANTITY_TRANSFER) != 0 &&
+  return (wanted & CORE_AT_FREQUENCIES) != 0 &&
          (profile->parts != NULL || profile->lut != NULL ||
           profile->kernels->f64->evaluate[CORE_ELEMENTWISE_TRANSFER] == NULL);
 }
+
+/* Evaluations of R for all frequencies of a call, of which modulated light takes one for each node and 64
+ * frequencies. */
+#define CALL_COST 1000.0
 
 double core_radius_cost(const core_profile *profile, unsigned wanted) {
   const core_profile *derives =
       core_wants_derivatives(wanted) && profile->source != NULL ? profile->source : profile;
   const unsigned nodes = (wanted & CORE_MODULATED) != 0 ? CORE_MODULATION_NODES_MAX : 0;
-  return derives->cost * (1 + nodes) + (transforms(profile, wanted) ? 60 : 0) + 20 * nodes;
+  return derives->cost * (1 + nodes) +
+         (transforms(profile, wanted) ? 60 + nodes * (60 + CALL_COST / 64 * profile->cost) : 0) +
+         20 * nodes;
 }
 
 double core_call_cost(const core_profile *profile, unsigned wanted) {
-  return transforms(profile, wanted) ? 1000 * profile->cost : 0;
+  return transforms(profile, wanted) ? CALL_COST * profile->cost : 0;
 }

@@ -300,7 +300,9 @@ enum dipole_quantity {
    * for dipoles, single, their sums and transport. Their errors are absolute. */
   DIPOLE_LAG = 262144, /* phase */
   DIPOLE_MODULATION = 524288,
-  DIPOLE_BALANCE = 1048576 /* dipole_channel.balance, with transport; its errors are absolute */
+  DIPOLE_BALANCE = 1048576, /* dipole_channel.balance, with transport; its errors are absolute */
+  DIPOLE_LAG_F = 2097152,   /* phase_f: the same of R_f, at spatial frequencies */
+  DIPOLE_MODULATION_F = 4194304
 };
 enum dipole_spacing { DIPOLE_LIST = 1, DIPOLE_LINEAR = 2, DIPOLE_LOGARITHMIC = 3 };
 

@@ -186,9 +186,10 @@ bool cli_eval_take_quantities(const cli_settings *settings, cli_eval_report *rep
   }
   const unsigned others =
       report->quantities.wanted & ~(CLI_OF_CHANNEL | DIPOLE_RADIUS | DIPOLE_MODEL_ERRORS);
-  report->place = others == DIPOLE_TRANSFER ? "f" : "r";
-  if (at_f && others != DIPOLE_TRANSFER) {
-    return cli_fails_usage("--f gives spatial frequencies, which only R_f has: request R_f alone");
+  const bool by_f = others != 0 && (others & ~(unsigned)CORE_AT_FREQUENCIES) == 0;
+  report->place = by_f ? "f" : "r";
+  if (at_f && !by_f) {
+    return cli_fails_usage("--f gives spatial frequencies: request what ends with _f alone");
   }
   return true;
 }
@@ -577,7 +578,7 @@ static void put_line(cli_rows *rows, const void *context, size_t index) {
   /* Shares of 1, radii and logarithms are written without exponent; other values may have one. */
   const unsigned plain = DIPOLE_RADIUS | DIPOLE_CDF | DIPOLE_LN_R | DIPOLE_BY_SIGMA_A |
                          DIPOLE_BY_SIGMA_S | DIPOLE_PATH | DIPOLE_DPF | DIPOLE_TIME | DIPOLE_LAG |
-                         DIPOLE_MODULATION;
+                         DIPOLE_MODULATION | CORE_MODULATED_F;
   if (wavelengths_nm != NULL) {
     cli_put_number(rows, wavelengths_nm[index], "wavelength", .unit = "nm");
   } else {
@@ -668,7 +669,7 @@ static int check_table(const cli_settings *settings) {
 
 int cli_eval_check(cli_settings *settings) {
   if (settings->f.count > 0 && settings->r.count > 0) {
-    return cli_fail_usage("--f is for R_f, and --r for all else: leave one out");
+    return cli_fail_usage("--f is for what ends with _f, and --r for all else: leave one out");
   }
   const bool at_f = settings->f.count > 0;
   if (settings->mci != NULL) {

@@ -52,6 +52,9 @@ static wire_error check_media(struct eval_job *eval, core_radii_range *radii) {
     radii->least_mm = fmax(radii->least_mm, range.least_mm);
     radii->most_mm = fmin(radii->most_mm, range.most_mm);
   }
+  if ((fixed->wanted & CORE_MODULATED) == 0) {
+    eval->request.parameters.value[CORE_PARAMETER_MHZ] = (double)NAN;
+  }
   eval->covers_all = radii->least_mm <= 0 && radii->most_mm >= (double)INFINITY;
   return wire_error_none();
 }

@@ -96,6 +96,7 @@ static enum job_outcome start_gather(struct job *job, const struct job_request *
       gather_request_parse(from->payload, from->header->payload_bytes, &gather->request);
   if (error.status == WIRE_STATUS_OK) {
     error = check_media(gather);
+    gather->request.parameters.value[CORE_PARAMETER_MHZ] = (double)NAN; /* it sums R alone */
   }
   if (error.status != WIRE_STATUS_OK) {
     return job_refuse(job, error);

@@ -1,7 +1,9 @@
 /* Table: sends the table of a model for one medium, or the surface for all media of one g and eta,
  * so that the client can evaluate it itself. */
-#include "proto/table.h"
+#include <math.h>
+
 #include "core/ruler.h"
+#include "proto/table.h"
 #include "server/jobs/job.h"
 
 struct table {
@@ -36,6 +38,7 @@ static enum job_outcome start_table(struct job *job, const struct job_request *f
   if (fault.field != NULL) {
     return job_refuse(job, job_error(fault));
   }
+  request->parameters.value[CORE_PARAMETER_MHZ] = (double)NAN; /* it is of R alone */
   job_init_other(&table->job, &table->surface, from);
   job_init_lookup(&table->job, &table->ruler, from);
   job_init_lookup(&table->job, &table->lookup, from);

@@ -754,7 +754,7 @@ COMMAND(ask_quantity) {
   if (!given && !albedo && length_of(s, places) == 0) {
     return answer_values(s, NULL, 0, false);
   }
-  if ((quantity & (CORE_QUANTITY_PHASE | CORE_QUANTITY_MODULATION)) == 0) {
+  if ((quantity & CORE_MODULATED) == 0) {
     parameters.value[CORE_PARAMETER_MHZ] = NAN;
   }
   start.wanted = quantity | CORE_QUANTITY_MODEL_ERROR;

@@ -15,7 +15,8 @@
  * Two models have no formula: `transport` is compared with itself at its own tolerance, and
  * the stated errors of both are added, and in two of 48 rounds, once with g other than 0, its R and
  * the derivatives of ln R with solutions of neighbouring media;
- * `gaussians` is compared with the model that it was fitted to. Besides values the rounds check
+ * `gaussians` is compared with the model that it was fitted to. Path lengths are compared with the
+ * formula's derivatives, and modulated light with the formula continued from 36 absorptions. Besides values the rounds check
  * samples (core_sample), inversions (invert_albedo), that a cdf never falls once it is 1, and
  * the stated errors of models against solutions of transport.
  *
@@ -28,6 +29,7 @@
  * if one was larger than stated. The same seed and number of rounds give the same comparisons.
  */
 #include <assert.h>
+#include <complex.h>
 #include <float.h>
 #include <getopt.h>
 #include <math.h>
@@ -78,8 +80,20 @@ enum check {
   INVERSION,
   MODEL_ERROR,
   TOLERANCE, /* a table states no more than was asked for */
+  PATH_LENGTH,
+  DPF,
+  TIME,
+  PHASE,
+  MODULATION,
+  PHASE_F,
+  MODULATION_F,
   CHECKS
 };
+
+/* The quantities of these checks, from PATH_LENGTH on. */
+static const enum core_quantity lights[CHECKS - PATH_LENGTH] = {
+    CORE_QUANTITY_PATH,       CORE_QUANTITY_DPF,     CORE_QUANTITY_TIME,        CORE_QUANTITY_PHASE,
+    CORE_QUANTITY_MODULATION, CORE_QUANTITY_PHASE_F, CORE_QUANTITY_MODULATION_F};
 
 static const char *const check_names[CHECKS] = {
 #define NAME_OF(P, bit, IDENT, name, unit, SHAPE)                                                  \
@@ -89,7 +103,14 @@ static const char *const check_names[CHECKS] = {
     [SAMPLE] = "sample",
     [INVERSION] = "inversion",
     [MODEL_ERROR] = "model error",
-    [TOLERANCE] = "tolerance"};
+    [TOLERANCE] = "tolerance",
+    [PATH_LENGTH] = "path",
+    [DPF] = "dpf",
+    [TIME] = "time",
+    [PHASE] = "phase",
+    [MODULATION] = "modulation",
+    [PHASE_F] = "phase_f",
+    [MODULATION_F] = "modulation_f"};
 
 static const enum core_quantity quantities[CORE_ELEMENTWISE_COUNT] = {
 #define QUANTITY_OF(P, bit, IDENT, name, unit, SHAPE)                                              \
@@ -309,6 +330,24 @@ static void compare_densely(const struct subject *s, const struct values *values
   }
 }
 
+/* Compares a value of light with the truth and what is stated. */
+static void compare_light(const struct subject *s, enum evaluator e, int check, double x,
+                          quad truth, quad unsure) {
+  const core_profile *profile = &s->profiles[e];
+  const enum core_quantity quantity = lights[check - PATH_LENGTH];
+  double value;
+  evaluate(profile, quantity, 1, &x, &value);
+  const core_stated_errors stated =
+      core_profile_errors(profile, quantity, (core_radii_range){x, x});
+  const double allowed = stated.numerical + stated.numerical_per_mm * x;
+  const double off = (double)fmaxf128(fabsf128((quad)value - truth) - unsure, 0);
+  if (allowed < (double)INFINITY && (double)unsure < 0.1 * allowed) {
+    const double share = off > 0 ? off / (allowed + 4 * DBL_MIN) : 0;
+    count(s, e, check, share <= 1, share, x, value, (double)truth);
+    worker->classes[s->model][e][check].by_form++;
+  }
+}
+
 /* Compares derivatives with differences of the formula, where R has not underflowed. */
 static void compare_derivatives(const struct subject *s, const struct values *values,
                                 size_t radii) {
@@ -323,6 +362,15 @@ static void compare_derivatives(const struct subject *s, const struct values *va
     for (int e = 0; e < EVALUATORS && !isnan(truth) && !isinf(truth); e++) {
       if (s->ready[e] && (e == F64 || e == FINE || is_narrow(r))) {
         const core_profile *profile = &s->profiles[e];
+        for (int check = PATH_LENGTH;
+             check <= TIME && i % 2 == 0 && profile->path_sigma_a_per_mm > 0; check++) {
+          const quad path = -truth / (quad)profile->path_sigma_a_per_mm;
+          compare_light(s, e, check, r,
+                        check == DPF    ? path / (quad)r
+                        : check == TIME ? path * (quad)profile->path_index / 0.299792458Q
+                                        : path,
+                        0);
+        }
         const double value = values->of[e][q][i / 2];
         const double stated = profile->derivative_error + profile->derivative_error_per_mm * r;
         const double off = (double)fabsf128((quad)value - truth);
@@ -433,6 +481,90 @@ static void check_inversion(struct subject *s, uint64_t *random) {
     if (!isnan(error)) {
       count(s, F64, INVERSION, error <= allowed, error / allowed, wanted, (double)found.albedo,
             wanted);
+    }
+  }
+}
+
+/* ---- path lengths and modulated light ------------------------------------------------------------ */
+
+typedef _Complex _Float128 complex_quad;
+
+enum { LIGHT_NODES = 36, LIGHT_FEWER = 27, LIGHT_FEWEST = 18, LIGHT_RADII = 48 };
+
+/* Sets truth[2][n] to phases in degrees and modulations at wavenumber omega n / c: the formula is
+ * continued from `nodes` absorptions in 113 bits. waves: x are frequencies. */
+static void continue_form(const struct subject *s, double wavenumber, int nodes, bool waves,
+                          size_t n, const double *x, quad truth[2][LIGHT_RADII]) {
+  static form_model form;
+  static quad ln_R[LIGHT_NODES][LIGHT_RADII];
+  const quad sigma_a = (quad)s->medium.sigma_a_per_mm, here = sqrtf128(sigma_a);
+  const complex_quad there = csqrtf128(CMPLXF128(sigma_a, (quad)wavenumber));
+  const double middle = (double)crealf128(there);
+  const double half = fmin(fmax(middle / 2, 2 * (double)cimagf128(there)), middle);
+  quad u[LIGHT_NODES];
+  for (int j = 0; j < nodes; j++) {
+    core_medium medium = s->medium;
+    medium.sigma_a_per_mm = pow(middle + half * cos((j + 0.5) * M_PI / nodes), 2);
+    u[j] = sqrtf128((quad)medium.sigma_a_per_mm);
+    form_prepare(&form, models[s->model], s->moments, &medium, &s->parameters);
+    for (size_t i = 0; i < n; i++) {
+      const form_values at = waves ? (form_values){0} : form_at(&form, x[i], true);
+      ln_R[j][i] = waves ? logf128(form_truth(&form, at, CORE_ELEMENTWISE_TRANSFER, x[i]))
+                         : logf128(at.R) - at.shift;
+    }
+  }
+  for (size_t i = 0; i < n; i++) {
+    const quad b = (ln_R[0][i] - ln_R[nodes - 1][i]) / (u[0] - u[nodes - 1]);
+    complex_quad sum[2] = {0, 0};
+    for (int j = 0; j < nodes; j++) {
+      complex_quad weight[2] = {1, 1};
+      for (int k = 0; k < nodes; k++) {
+        weight[0] *= k == j ? 1 : (there - u[k]) / (u[j] - u[k]);
+        weight[1] *= k == j ? 1 : (here - u[k]) / (u[j] - u[k]);
+      }
+      const quad value = expf128(ln_R[j][i] - ln_R[0][i] - b * (u[j] - u[0]));
+      sum[0] += weight[0] * value;
+      sum[1] += weight[1] * value;
+    }
+    truth[0][i] = -(b * cimagf128(there) + cargf128(sum[0])) * 180 / M_PIf128;
+    truth[1][i] = cabsf128(sum[0] / sum[1]) * expf128(b * (crealf128(there) - here));
+  }
+}
+
+/* Modulated light of a random frequency, about as fast as sigma_a or sigma_t' is large. */
+static void check_modulated(struct subject *s, uint64_t *random) {
+  const size_t n = s->family == FORM_DIPOLE ? LIGHT_RADII : 6;
+  const double per_mhz = 2e-6 * M_PI * s->medium.eta / 0.299792458;
+  const double scale = below(random, 2) ? s->medium.sigma_a_per_mm : core_sigma_t_prime(&s->medium);
+  const double mhz = scale * log_between(random, 1e-4, 10) / per_mhz;
+  double x[LIGHT_RADII];
+  quad truth[2][LIGHT_RADII], fewer[2][LIGHT_RADII], fewest[2][LIGHT_RADII];
+  struct subject light = *s;
+  light.parameters.value[CORE_PARAMETER_MHZ] = mhz;
+  light.parameters.value[CORE_PARAMETER_TOLERANCE] = (double)NAN;
+  for (int waves = 0; waves < (s->family == FORM_DIPOLE ? 2 : 1); waves++) {
+    for (size_t i = 0; i < n; i++) {
+      const double mfp = log_between(random, 1e-3, 300) / core_sigma_t_prime(&s->medium);
+      x[i] = (double)(float)(waves ? 0.1 / mfp : mfp);
+    }
+    continue_form(s, per_mhz * mhz, LIGHT_NODES, waves, n, x, truth);
+    continue_form(s, per_mhz * mhz, LIGHT_FEWER, waves, n, x, fewer);
+    continue_form(s, per_mhz * mhz, LIGHT_FEWEST, waves, n, x, fewest);
+    for (enum evaluator e = F64; e <= (below(random, 4) == 0 ? F32 : F64); e++) {
+      if (core_profile_prepare(&light.profiles[e], core_isa_select(NULL), models[s->model],
+                               s->moments, evaluator_ids[e], &s->medium, &light.parameters)
+              .field != NULL) {
+        continue;
+      }
+      for (size_t i = 0; i < 2 * n; i++) {
+        const int angle = i % 2 == 0 ? 0 : 1;
+        const quad known = truth[angle][i / 2];
+        const quad unsure =
+            fmaxf128(fabsf128(known - fewer[angle][i / 2]), fabsf128(known - fewest[angle][i / 2]));
+        compare_light(&light, e, (waves ? PHASE_F : PHASE) + angle, x[i / 2], truth[angle][i / 2],
+                      unsure);
+      }
+      core_profile_free(&light.profiles[e]);
     }
   }
 }
@@ -809,6 +941,14 @@ static void draw_subject(size_t model, bool slow, bool table, uint64_t *random) 
     compare_subject(&s, random);
     if (s.form.known && below(random, 4) == 0) {
       check_inversion(&s, random);
+    }
+    core_radii_range range;
+    core_parameters light = s.parameters;
+    light.value[CORE_PARAMETER_MHZ] = 0;
+    if (s.form.known && s.medium.sigma_s_per_mm > 0 && below(random, 4) == 0 &&
+        core_profile_check(models[model], s.moments, CORE_EVALUATOR_F64, &s.medium, &light, &range)
+                .field == NULL) {
+      check_modulated(&s, random);
     }
   }
   for (int e = 0; e < EVALUATORS; e++) {

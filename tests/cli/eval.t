@@ -183,12 +183,12 @@ $ dipole eval --sigma-a 0.01 --sigma-s 10 --g 0.9 --eta 1.4 --model better --f 0
 }
 
 $ dipole eval --sigma-a 0.01 --sigma-s 10 --f 1 --r 1
-! dipole eval: --f is for R_f, and --r for all else: leave one out
+! dipole eval: --f is for what ends with _f, and --r for all else: leave one out
 ! `dipole eval --help` says more.
 ? 2
 
 $ dipole eval --sigma-a 0.01 --sigma-s 10 --f 1 --wanted R
-! dipole eval: --f gives spatial frequencies, which only R_f has: request R_f alone
+! dipole eval: --f gives spatial frequencies: request what ends with _f alone
 ! `dipole eval --help` says more.
 ? 2
 

@@ -19,6 +19,16 @@ mm    degrees             1
 10    10.3534      0.991679
 20    23.1744      0.977698
 
+$ dipole eval --model transport --sigma-a 0.01 --sigma-s 1 --eta 1.4 --f 0,0.04 --mhz 100 --wanted phase_f,modulation_f | head -n 8
+moments exact, mhz 100, R_f, the reflectance of striped light
+
+      transport       transport
+   f  phase_f 1  modulation_f 1
+1/mm    degrees               1
+----  ---------  --------------
+   0    3.65443        0.994739
+0.04    1.87091        0.999062
+
 $ dipole eval --model transport --sigma-a 0 --sigma-s 1 --eta 1.4 --r 10 --wanted path
 ! dipole eval: bad-value: sigma_a: allowed: above 0 with path, dpf and time: their limit is not computed (--sigma-a)
 ? 1

@@ -15,7 +15,7 @@ STATUSES = {0: "ok", 1: "bad-magic", 2: "bad-version", 3: "bad-type", 4: "bad-le
     15: "unknown-points", 16: "cancelled"}
 
 # quantities with a value for each radius and channel, in the order of a reply's arrays
-ELEMENTWISE = (1, 4, 16, 32, 64, 128, 256, 512, 1024, 2048, 8192, 16384, 32768, 65536, 131072, 262144, 524288)
+ELEMENTWISE = (1, 4, 16, 32, 64, 128, 256, 512, 1024, 2048, 8192, 16384, 32768, 65536, 131072, 262144, 524288, 2097152, 4194304)
 
 # name: kind and name of each field
 STRUCTURES = """\
@@ -116,11 +116,11 @@ eval_request: eval_request; medium medium[layer_count*medium_count];
     parameter parameter[parameter_count]; real r[radius_count] if spacing is 1
 eval_reply: eval_reply; f64 albedo[channel_count]; balance balance[channel_count*wanted&1048576];
     quantity_error errors[channel_count*wanted&4294967295]; real r[count] if wanted&8 is 1;
-    real values[channel_count*wanted&1044469][count]
+    real values[channel_count*wanted&7335925][count]
 sample_reply: eval_reply; f64 albedo[channel_count];
     balance balance[channel_count*wanted&1048576];
     quantity_error errors[channel_count*wanted&4294967295];
-    real values[channel_count*wanted&1044477][count]
+    real values[channel_count*wanted&7335933][count]
 media_reply: list_reply; measured_medium media[count]
 statistics_reply: list_reply; value value[count]
 mc_request: mc_request; medium medium[layer_count]; f64 albedo[albedo_count];

@@ -366,6 +366,8 @@ class Result(_Evaluated):
     time = _Quantity("time", "[C, N] ps: mean time on these paths, by the parameter index.")
     phase = _Quantity("phase", "[C, N] degrees: lag of light modulated with the parameter mhz.")
     modulation = _Quantity("modulation", "[C, N]: what is left of that modulation, at most 1.")
+    phase_f = _Quantity("phase_f", "[C, N] degrees: as phase, of R_f at spatial frequencies.")
+    modulation_f = _Quantity("modulation_f", "[C, N]: as modulation, of R_f at spatial frequencies.")
     model_errors = _Quantity(
         "model_errors",
         "[C, N]: model_error at each radius; a medium that transport solves takes seconds.",
@@ -392,7 +394,7 @@ class Result(_Evaluated):
         r = self.quantities.get("r")
         if r is None:
             return self._in_short("a grid of radii")
-        by_f = list(self.values) == ["R_f"]
+        by_f = self.values.keys() <= {"R_f", "phase_f", "modulation_f"}
         one, several, unit = ("frequency", "frequencies", "1/mm") if by_f else ("radius", "radii", "mm")
         listed = f", {span(r)} {unit}" if r.size else ""
         return self._in_short(counted(r.size, one, several) + listed)
