@@ -79,7 +79,10 @@ QUANTITIES = choices("QUANTITY")
 DERIVATIVES = sum(
     QUANTITIES[name] for name in ("dlnR_dln_sigma_a", "dlnR_dln_sigma_s", "path", "dpf", "time")
 )
-MODULATED = QUANTITIES["phase"] | QUANTITIES["modulation"]  # with the parameter mhz
+MODULATED = sum(  # with the parameter mhz
+    QUANTITIES[name] for name in ("phase", "modulation", "phase_f", "modulation_f")
+)
+BALANCE = QUANTITIES["balance"]  # of transport alone
 
 
 def has_derivatives(model: str) -> bool:

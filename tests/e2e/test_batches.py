@@ -14,7 +14,7 @@ from frames import (
     ALBEDO, CDF, EVAL, F32, F64, LINEAR, LOGARITHMIC, RADIUS, SKIN, SPECTRALON, R, ask,
     assert_serves, eval_payload, frame, statistics,
 )
-from lists import MODELS, PARAMETERS, QUANTITIES, everywhere
+from lists import BALANCE, MODELS, PARAMETERS, QUANTITIES, everywhere
 
 EVALUATED = EVAL | wire.REPLY
 LUT = 3
@@ -204,7 +204,7 @@ STEADY = {
     "better, all that there is": {
         "model": MODELS["better"],
         "media": [SKIN] * 3,
-        "wanted": sum(QUANTITIES.values()),
+        "wanted": sum(QUANTITIES.values()) - BALANCE,
         "parameters": [(PARAMETERS["mhz"].id, 100.0)],
     },
     "by rule": {"model": MODELS["better"], "evaluator": F32, "radii": None, "radius_count": 16},
