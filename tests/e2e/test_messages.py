@@ -617,7 +617,8 @@ def test_others_are_answered_meanwhile(single, message):
 
         def under_way() -> bool:
             while select.select([busy.socket], [], [], 0)[0]:
-                assert busy.receive_frame()[:2] == (wire.MESSAGES[message] | wire.REPLY, 1)
+                one = busy.receive_frame()  # after 10 s on a busy machine: that it is still at work
+                assert one == Frame(PONG, 1, b"") or one[:2] == (wire.MESSAGES[message] | wire.REPLY, 1)
             now = statistics(other)
             return now["owed_radii"] + now["mc_jobs_open"] > 0
 
