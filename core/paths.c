@@ -59,12 +59,13 @@ core_nodes core_nodes_around(bool few, double least, double complex u) {
   return made;
 }
 
-/* Sets share[j] to that of value j in a term of the Chebyshev series at u. */
-static void find_term(const core_nodes *of, unsigned degree, double complex u,
-                      double complex share[NODES]) {
-  double cosine[NODES], first[NODES];
+/* Sets share[j] to that of value j in the coefficient of a term of the Chebyshev series. Returns its
+ * polynomial at u. */
+static double complex find_term(const core_nodes *of, unsigned degree, double complex u,
+                                double share[NODES]) {
+  double first[NODES];
   find_cosines(of->count, first, 1);
-  find_cosines(of->count, cosine, degree);
+  find_cosines(of->count, share, degree);
   const double complex z = (u - middle_of(of)) * (first[0] / (of->u[0] - middle_of(of)));
   double complex before = 1, at = z;
   for (unsigned k = 1; k < degree; k++) {
@@ -73,8 +74,9 @@ static void find_term(const core_nodes *of, unsigned degree, double complex u,
     at = next;
   }
   for (unsigned j = 0; j < of->count; j++) {
-    share[j] = at * (2 * cosine[j] / of->count);
+    share[j] *= 2.0 / of->count;
   }
+  return at;
 }
 
 core_continuation core_continue_to(const core_nodes *of, double complex u) {
@@ -86,7 +88,7 @@ core_continuation core_continue_to(const core_nodes *of, double complex u) {
     }
   }
   for (unsigned k = 0; k < 2 && of->count > 0; k++) {
-    find_term(of, of->count - 1 - k, u, to.last[k]);
+    to.polynomial[k] = find_term(of, of->count - 1 - k, u, to.share[k]);
   }
   return to;
 }
@@ -193,7 +195,7 @@ void core_modulation_eval(const core_profile *profile, enum core_quantity quanti
  * found. */
 enum { PLACES = 33 };
 #define AROUND 1.3
-#define MARGIN 6
+#define MARGIN 3
 /* Radii are at least this many mean free paths, and frequencies this share of the light's decay per mm,
  * as nearer to 0 nothing changes. */
 #define NEAREST 1e-3
@@ -202,23 +204,33 @@ enum { PLACES = 33 };
 /* What rounding adds for each weight. */
 #define ROUNDING 1e-14
 
+/* What the series leaves out is judged by its last two coefficients, each in either of the last two
+ * terms: one coefficient may be 0 by chance, and one polynomial nearly the same at both u. */
 double core_continued_error(const core_nodes *nodes, bool is_angle,
                             const core_continuation *const u[2], const core_continued at[2],
                             const double *error) {
-  double complex last[2] = {0, 0}, first[2] = {0, 0}; /* first: of u[0] alone */
-  double sum = 0;
+  double complex of[2] = {0, 0}, less[2] = {0, 0}; /* the coefficients, for u[0] and u[1] */
+  double sum = 0, cut = 0;
   for (unsigned j = 0; j < nodes->count; j++) {
     const double complex by_one = u[0]->weight[j] * at[0].relative[j];
     double complex by = by_one;
     by -= u[1] != NULL ? u[1]->weight[j] * at[1].relative[j] : 0;
     sum += error[j] * fabs(is_angle ? cimag(by) : creal(by)) + ROUNDING * fn_abs(by_one);
     for (int k = 0; k < 2; k++) {
-      first[k] += u[0]->last[k][j] * at[0].relative[j];
-      last[k] -= u[1] != NULL ? u[1]->last[k][j] * at[1].relative[j] : 0;
+      of[k] += u[0]->share[k][j] * at[0].relative[j];
+      less[k] += u[1] != NULL ? u[1]->share[k][j] * at[1].relative[j] : 0;
     }
   }
-  const double cut = fn_abs(first[0] + last[0]) + 0.25 * fn_abs(first[1] + last[1]);
-  const double slow = fmax(fn_abs(first[0]), fn_abs(first[1]));
+  double slow = 0;
+  for (int k = 0; k < 2; k++) {
+    double most = 0;
+    for (int l = 0; l < 2; l++) {
+      const double complex other = u[1] != NULL ? less[k] * u[1]->polynomial[l] : 0;
+      most = fmax(most, fn_abs(of[k] * u[0]->polynomial[l] - other));
+    }
+    cut += k == 0 ? most : 0.25 * most;
+    slow = fmax(slow, fn_abs(of[k] * u[0]->polynomial[k]));
+  }
   const bool known = at[0].is_known && (u[1] == NULL || at[1].is_known) && slow < UNKNOWN;
   return known ? sum + MARGIN * cut : (double)INFINITY;
 }

@@ -41,10 +41,11 @@ typedef struct core_modulation {
   core_profile node[CORE_MODULATION_NODES_MAX]; /* owned, of evaluator f64 */
 } core_modulation;
 
-/* How R is continued to u: the weight of each node's value, and its share in the last two terms of
- * the Chebyshev series there. */
+/* How R is continued to u: the weight of each node's value; for the last two terms of the Chebyshev
+ * series, each node's share in the coefficient, and the polynomial at u. */
 typedef struct core_continuation {
-  double complex u, weight[CORE_MODULATION_NODES_MAX], last[2][CORE_MODULATION_NODES_MAX];
+  double complex u, weight[CORE_MODULATION_NODES_MAX], polynomial[2];
+  double share[2][CORE_MODULATION_NODES_MAX];
 } core_continuation;
 
 /* ln R at u; is_known: whether R is no difference of much larger numbers. A change of ln R by d at

@@ -202,7 +202,7 @@ static void check_profile(const core_profile *profile) {
 }
 
 UNIT_TEST(edges_have_their_limits) {
-  for (size_t m = 0; m < MODELS; m++) {
+  for (size_t m = 0; m < sizeof kernels_of / sizeof *kernels_of; m++) {
     const unsigned model = kernels_of[m].model;
     for (const core_choice *e = core_evaluators; e->name != NULL && !is_like_an_earlier_one(m);
          e++) {
