@@ -55,12 +55,12 @@ g=0, haemoglobin by prahl, model transport, moments exact, g 0, eta 1.4, scale f
 
 sample  unknown           value   error  numerical  status  scale  its error       chi2  readings  condition  sample is
 ------  --------------  -------  ------  ---------  ------  -----  ---------  ---------  --------  ---------  ---------
-1       hbo2_uM              56    0.34    5.1e-02  fitted      7      0.063  6.241e-06        48       11.3     fitted
-1       hb_uM                24    0.15    2.5e-02  fitted      7      0.063  6.241e-06        48       11.3     fitted
-1       water_fraction      0.6  0.0042    6.5e-04  fitted      7      0.063  6.241e-06        48       11.3     fitted
-1       fat_fraction    0.29999    0.02    2.2e-03  fitted      7      0.063  6.241e-06        48       11.3     fitted
-1       a_per_mm            1.9   0.015    2.4e-03  fitted      7      0.063  6.241e-06        48       11.3     fitted
-1       b                   1.2   0.017    2.7e-03  fitted      7      0.063  6.241e-06        48       11.3     fitted
+1       hbo2_uM              56    0.34    4.7e-02  fitted      7      0.063  6.241e-06        48       11.3     fitted
+1       hb_uM                24    0.15    2.2e-02  fitted      7      0.063  6.241e-06        48       11.3     fitted
+1       water_fraction      0.6  0.0042    5.9e-04  fitted      7      0.063  6.241e-06        48       11.3     fitted
+1       fat_fraction    0.29999    0.02    2.1e-03  fitted      7      0.063  6.241e-06        48       11.3     fitted
+1       a_per_mm            1.9   0.015    2.1e-03  fitted      7      0.063  6.241e-06        48       11.3     fitted
+1       b                   1.2   0.017    2.4e-03  fitted      7      0.063  6.241e-06        48       11.3     fitted
 1       saturation          0.7   0.002          -  fitted      7      0.063  6.241e-06        48       11.3     fitted
 1       total_uM             80    0.35          -  fitted      7      0.063  6.241e-06        48       11.3     fitted
 

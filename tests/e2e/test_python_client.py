@@ -158,7 +158,7 @@ def test_a_quantity_that_was_not_wanted_is_named(client):
 
 def test_what_is_printed_fits_three_lines(client):
     r = np.linspace(0.1, 9.0, 500)
-    apart = ("S", "phase", "modulation", "balance")
+    apart = ("S", "phase", "modulation", "phase_f", "modulation_f", "balance")
     whole = [name for name in client.info.choices["quantity"] if name not in apart]
     with client.__class__() as private:
         shown = [repr(private)]
