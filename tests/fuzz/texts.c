@@ -52,7 +52,6 @@ void fuzz_csv(const uint8_t *data, size_t size) {
   }
   CHECK(kind != CLI_CSV_END || done == size);
   cli_csv_record_free(&record);
-  cli_csv_reader_free(&reader);
 }
 
 /* The target for options of the daemon, one behind each zero byte. Each is also read as an address,
