@@ -210,7 +210,9 @@ double core_continued_error(const core_nodes *nodes, bool is_angle,
                             const core_continuation *const u[2], const core_continued at[2],
                             const double *error) {
   double complex of[2] = {0, 0}, less[2] = {0, 0}; /* the coefficients, for u[0] and u[1] */
-  double sum = 0, cut = 0;
+  /* the difference of two logarithms is rounded by as much as they are */
+  double sum = DBL_EPSILON * (fn_abs(at[0].ln_R) + (u[1] != NULL ? fn_abs(at[1].ln_R) : 0));
+  double cut = 0;
   for (unsigned j = 0; j < nodes->count; j++) {
     const double complex by_one = u[0]->weight[j] * at[0].relative[j];
     double complex by = by_one;
