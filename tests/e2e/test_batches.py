@@ -201,6 +201,7 @@ MAX_QUEUED_BYTES = 262144
 
 STEADY = {
     "better": {"model": MODELS["better"]},
+    "better of three media": {"model": MODELS["better"], "media": [SKIN] * 3},
     "better, all that there is": {
         "model": MODELS["better"],
         "media": [SKIN] * 3,
