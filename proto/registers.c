@@ -59,13 +59,13 @@ static const uint8_t block_at[REGISTERS_END] = {
 #include "proto/registers.def"
 };
 
-static const uint8_t field_at[REGISTERS_END] = {
+static const uint16_t field_at[REGISTERS_END] = {
 #define REGISTERS_FIELD(IDENT, address, count, TYPE, ...)                                          \
   [(address)...(address) + (count)*WIDTH_##TYPE - 1] = 1 + INDEX_##IDENT,
 #include "proto/registers.def"
 };
 
-_Static_assert(FIELDS < UINT8_MAX, "one byte holds each");
+_Static_assert(FIELDS < UINT16_MAX, "two bytes hold each");
 
 /* Returns the field of a register outside the mirror, or NULL if the register has none. */
 static const registers_field *find_field(unsigned address) {
@@ -151,6 +151,16 @@ unsigned registers_of_field(const registers_job *job, const char *field, uint64_
   return found == NULL ? job->commit
                        : found->address + (unsigned)(index < found->count ? index : 0) *
                                               registers_width(found->type);
+}
+
+unsigned registers_of_error(const registers_job *job, wire_error *error) {
+  const unsigned at = registers_of_field(job, error->field, error->index);
+  if (at == job->commit && error->field[0] != '\0') {
+    char named[sizeof error->field + sizeof error->allowed + 2];
+    snprintf(named, sizeof named, "%s: %s", error->field, error->allowed);
+    snprintf(error->allowed, sizeof error->allowed, "%.*s", (int)sizeof error->allowed - 1, named);
+  }
+  return at;
 }
 
 /* ---- values ---------------------------------------------------------------------------------- */

@@ -10,7 +10,7 @@
 #include <math.h>
 #include <string.h>
 
-#include "core/core.h"
+#include "core/tissue/tissue.h"
 #include "proto/wire.h"
 
 #define REGISTERS_MAGIC 0x4449504c
@@ -21,7 +21,12 @@ enum {
   REGISTERS_WANTED_MAX = 4, /* of an eval: R, albedo, cdf, S */
   REGISTERS_MIRROR = 2000,  /* distance from a register to its mirror, if it has one */
   REGISTERS_FIT_READINGS_MAX = 25,
-  REGISTERS_END = 10500, /* registers in an image */
+  REGISTERS_WAVELENGTHS_MAX = 6, /* of the fit of a tissue, as the three that follow */
+  REGISTERS_PLACES_MAX = 8,
+  REGISTERS_SOUGHT_MAX = 8,
+  REGISTERS_PROPERTIES_MAX = 18,
+  REGISTERS_TISSUE_READINGS_MAX = REGISTERS_WAVELENGTHS_MAX * REGISTERS_PLACES_MAX,
+  REGISTERS_END = 11320, /* registers in an image */
   REGISTERS_COILS = 100, /* coils, from address 0 on */
   REGISTERS_ERROR_TEXT_BYTES = 80,
   REGISTERS_FIT_STATUS_NAME_BYTES = 16,
@@ -47,6 +52,10 @@ enum registers_job_kind {
 #include "proto/registers.def"
   REGISTERS_JOBS
 };
+
+static inline bool registers_is_fit(enum registers_job_kind kind) {
+  return kind == REGISTERS_JOB_FIT || kind == REGISTERS_JOB_FIT_TISSUE;
+}
 
 /* The PDU address of each field: REGISTERS_AT_COMMIT and so on. */
 enum registers_address {
@@ -155,6 +164,9 @@ const registers_field *registers_named(const registers_job *job, const char *nam
 /* Returns the register that a field of a job's request comes from. `index` is the position in an
  * array. Returns the register of the commit if the field has no register. */
 unsigned registers_of_field(const registers_job *job, const char *field, uint64_t index);
+
+/* Returns the register of an error's field. If there is none, `allowed` then names the field, too. */
+unsigned registers_of_error(const registers_job *job, wire_error *error);
 
 /* These read one value of an image, or of registers. */
 static inline uint16_t registers_u16(const uint16_t *image, unsigned address) {

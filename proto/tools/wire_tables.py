@@ -69,16 +69,15 @@ def write_protocol(path: Path) -> None:
 
 # ---- registers -----------------------------------------------------------------------------------
 
-JOB_COLUMNS = "name | eval | sample | invert | mc | fit | meaning"
+JOB_COLUMNS = "name | eval | sample | invert | mc | fit | fit_tissue | meaning"
 BLOCKS = {first: block for block in LISTS["blocks"] for first in [block[1]]}
 MIRROR = LISTS["mirror"]
-WITHOUT_REGISTERS = ("quantity", "status", "parameter", "light", "value", "coefficient", "unknown",
-                     "property", "haemoglobin", "tissue")
+WITHOUT_REGISTERS = ("quantity", "status", "parameter", "light", "value", "coefficient", "unknown")
 
 
 def section(title: str, columns: str, rows: list[str]) -> str:
-    rule = "|" + "---|" * (columns.count("|") + 1)
-    return "\n".join([f"### {title}", f"| {columns} |", rule, *rows, "", ""])
+    bare = [row.removeprefix("| ").removesuffix(" |").rstrip() for row in rows]
+    return "\n".join([f"### {title}", columns, "|".join(["---"] * (columns.count("|") + 1)), *bare, "", ""])
 
 
 def originals() -> list:
@@ -127,8 +126,8 @@ def initial_of(field: dict) -> str:
 def field_row(field: dict) -> str:
     count = f"[{field['count']}]" if field["count"] > 1 else ""
     unit = f", {field['unit']}" if field["unit"] not in ("", "1") else ""
-    written = f"{range_of(field)} ({initial_of(field)})" if field["access"] else ""
-    cells = [field["address"], field["name"], field["type"] + count + unit, written, field["about"]]
+    written = f"; {range_of(field)} ({initial_of(field)})" if field["access"] else ""
+    cells = [field["address"], field["name"], field["type"] + count + unit + written, field["about"]]
     return "| " + " | ".join(map(str, cells)) + " |"
 
 
@@ -141,7 +140,7 @@ def fields_text() -> str:
             if first <= field["address"] < first + length and field["address"] not in of_jobs
         ]
         rows = [field_row(field) for field in sorted(fields, key=lambda field: field["address"])]
-        columns = "PDU | name | type, unit | range (default) | meaning"
+        columns = "PDU | name | type; range (default) | meaning"
         text += section(f"Block {id}: {name}", columns, rows)
     return text
 

@@ -95,8 +95,9 @@ static wire_error run_job(struct modbus_task *task, uint64_t *budget) {
   return wire_error_none();
 }
 
-static void fail_job(struct modbus_task *task, const wire_error *error) {
-  modbus_task_fail(task, error, registers_of_field(fields_of(task), error->field, error->index));
+static void fail_job(struct modbus_task *task, wire_error error) {
+  const unsigned at = registers_of_error(fields_of(task), &error);
+  modbus_task_fail(task, &error, at);
 }
 
 /* ---- committing and cancelling --------------------------------------------------------------- */
@@ -183,7 +184,7 @@ void modbus_task_cancel(struct modbus_task *task) {
 void modbus_task_run(struct modbus_task *task, uint64_t *budget) {
   const wire_error error = run_job(task, budget);
   if (error.status != WIRE_STATUS_OK) {
-    fail_job(task, &error);
+    fail_job(task, error);
   }
 }
 
@@ -199,7 +200,7 @@ bool modbus_task_finish(struct modbus_task *task) {
       task->kind, task->request, task->reply, task->reply_bytes, task->registers, &error);
   task->evaluated = false;
   if (status == REGISTERS_STATUS_ERROR) {
-    fail_job(task, &error);
+    fail_job(task, error);
     return true;
   }
   set_status(task, task->cancelled ? REGISTERS_STATUS_CANCELLED : status);
@@ -220,7 +221,7 @@ void modbus_task_expire(struct modbus_task *task, uint64_t named_ms) {
   }
   if (run_expire(&task->run)) {
     task->evaluated = false;
-    fail_job(task, &task->error);
+    fail_job(task, task->error);
   } else if (task->run.state != RUN_IDLE) {
     watch_task(task, named_ms);
   }

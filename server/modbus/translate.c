@@ -70,20 +70,27 @@ static const struct links *links_of(enum registers_job_kind kind, const schema_s
 
 /* ---- input ----------------------------------------------------------------------------------- */
 
-static double number_of(const uint16_t image[REGISTERS_END], const registers_field *field) {
-  return field->type == REGISTERS_U32          ? (double)registers_u32(image, field->address)
-         : field->type != REGISTERS_F32        ? (double)registers_u16(image, field->address)
-         : field->access == REGISTERS_OPTIONAL ? registers_optional(image, field->address)
-                                               : registers_number(image, field->address);
+/* Returns value `index` of a field, whose first value holds for all if there is no other. What is not
+ * given is 0. */
+static double number_of(const uint16_t image[REGISTERS_END], const registers_field *field,
+                        unsigned index) {
+  const unsigned at =
+      field->address + (field->count > 1 ? index * registers_width(field->type) : 0);
+  const double number = field->type == REGISTERS_U32          ? (double)registers_u32(image, at)
+                        : field->type != REGISTERS_F32        ? (double)registers_u16(image, at)
+                        : field->access == REGISTERS_OPTIONAL ? registers_optional(image, at)
+                                                              : registers_number(image, at);
+  return isnan(number) ? 0 : number;
 }
 
-/* Writes those fields of a structure that have registers. A field that is not given becomes 0. */
+/* Writes those fields of structure `index` of a list that have registers. */
 static void put_fields(enum registers_job_kind kind, const schema_structure *structure,
-                       const char *prefix, const uint16_t image[REGISTERS_END], uint8_t *to) {
+                       const char *prefix, const uint16_t image[REGISTERS_END], unsigned index,
+                       uint8_t *to) {
   const struct links *links = links_of(kind, structure, prefix, false);
   for (unsigned i = 0; i < links->count; i++) {
     const struct link *link = &links->items[i];
-    const double given = number_of(image, link->registers), number = isnan(given) ? 0 : given;
+    const double number = number_of(image, link->registers, index);
     const uint64_t integer = link->field->kind == SCHEMA_f64 ? 0 : (uint64_t)number;
     memcpy(to + link->at,
            link->field->kind == SCHEMA_f64 ? (const void *)&number : (const void *)&integer,
@@ -112,6 +119,7 @@ static void complete(enum registers_job_kind kind, core_parameters *parameters, 
   wire_eval_request *eval = request;
   wire_sample_request *sample = request;
   fit_start *fit = request;
+  wire_fit_tissue_request *tissue = request;
   switch (kind) {
   case REGISTERS_JOB_EVAL:
     eval->medium_count = 1;
@@ -137,21 +145,22 @@ static void complete(enum registers_job_kind kind, core_parameters *parameters, 
     fit->request.set_count = fit->request.residuals = 1;
     fit->design.parameter_count = parameter_count;
     break;
+  case REGISTERS_JOB_FIT_TISSUE:
+    tissue->set_count = tissue->residuals = 1;
+    break;
   case REGISTERS_JOB_INVERT:
   case REGISTERS_JOBS:
     break;
   }
 }
 
-/* Writes the numbers of a list, as floats or as doubles; a single register holds for all. */
+/* Writes the numbers of a list, as floats or as doubles. */
 static void put_list(enum registers_job_kind kind, const schema_part *part,
                      const uint16_t image[REGISTERS_END], unsigned count, size_t bytes,
                      uint8_t *to) {
   const registers_field *from = registers_named(&registers_jobs[kind], part->name, false);
   for (unsigned i = 0; i < count; i++) {
-    const unsigned address = from->address + (from->count > 1 ? 2 * i : 0);
-    const double number = part->kind == SCHEMA_REAL ? (double)registers_f32(image, address)
-                                                    : registers_number(image, address);
+    const double number = number_of(image, from, i);
     const float single = (float)number;
     memcpy(to + i * bytes, bytes == sizeof single ? (const void *)&single : (const void *)&number,
            bytes);
@@ -160,11 +169,11 @@ static void put_list(enum registers_job_kind kind, const schema_part *part,
 
 /* Sets reading[] to value and standard error of a reading, or of its ratio to what was read of the
  * reference medium: the relative errors of both are independent. */
-static void take_reading(const uint16_t image[REGISTERS_END], unsigned index, bool ratio,
-                         double reading[2]) {
+static void take_reading(const uint16_t image[REGISTERS_END], const registers_field *from,
+                         unsigned index, bool ratio, double reading[2]) {
   const unsigned offset = 4 * index;
-  reading[0] = registers_number(image, REGISTERS_AT_FIT_READING + offset);
-  reading[1] = registers_number(image, REGISTERS_AT_FIT_READING + offset + 2);
+  reading[0] = number_of(image, from, 2 * index);
+  reading[1] = number_of(image, from, 2 * index + 1);
   if (ratio) {
     const double known = registers_number(image, REGISTERS_AT_FIT_REFERENCE_READING + offset);
     const double error = registers_number(image, REGISTERS_AT_FIT_REFERENCE_READING + offset + 2);
@@ -174,12 +183,14 @@ static void take_reading(const uint16_t image[REGISTERS_END], unsigned index, bo
 }
 
 /* Writes values, or their standard errors, of the readings of a fit. */
-static void put_readings(const uint16_t image[REGISTERS_END], unsigned count, bool errors,
-                         uint8_t *to) {
-  const bool ratio = registers_u16(image, REGISTERS_AT_FIT_SCALE) == CORE_FIT_SCALE_REFERENCE;
+static void put_readings(enum registers_job_kind kind, const uint16_t image[REGISTERS_END],
+                         unsigned count, bool errors, uint8_t *to) {
+  const registers_field *from = registers_named(&registers_jobs[kind], "reading", false);
+  const bool ratio = kind == REGISTERS_JOB_FIT &&
+                     registers_u16(image, REGISTERS_AT_FIT_SCALE) == CORE_FIT_SCALE_REFERENCE;
   for (unsigned i = 0; i < count; i++) {
     double reading[2];
-    take_reading(image, i, ratio, reading);
+    take_reading(image, from, i, ratio, reading);
     memcpy(to + i * sizeof(double), &reading[errors], sizeof(double));
   }
 }
@@ -207,7 +218,7 @@ size_t modbus_translate_input(enum registers_job_kind kind, const uint16_t image
   size_t bytes = 0;
   memset(request, 0, MODBUS_REQUEST_BYTES);
   for (int i = 0; i < 2 && payload->structures[i] != NULL; i++) {
-    put_fields(kind, payload->structures[i], "", image, request + bytes);
+    put_fields(kind, payload->structures[i], "", image, 0, request + bytes);
     bytes += payload->structures[i]->bytes;
   }
   for (const core_choice *one = core_parameter_list; one->name != NULL; one++) {
@@ -231,7 +242,9 @@ size_t modbus_translate_input(enum registers_job_kind kind, const uint16_t image
       const size_t put = schema_put_parameters(to, &parameters);
       bytes += part->rest ? put : 0;
     } else if (count > 0 && part->kind == SCHEMA_LIST) {
-      put_fields(kind, part->structure, "", image, to);
+      for (unsigned k = 0; k < count; k++) {
+        put_fields(kind, part->structure, "", image, k, to + k * part->structure->bytes);
+      }
       for (size_t k = 0; layer_count != NULL && preset != NULL && k < preset->layer_count; k++) {
         const core_medium *from = &preset->channel[preset_row * preset->layer_count + k];
         const wire_medium layer = {from->sigma_a_per_mm, from->sigma_s_per_mm, from->g, from->eta,
@@ -239,14 +252,14 @@ size_t modbus_translate_input(enum registers_job_kind kind, const uint16_t image
         wire_put_medium(to + k * WIRE_BYTES_medium, &layer);
       }
       if (layer_count != NULL && preset == NULL && count > 1) {
-        put_fields(kind, part->structure, "below_", image, to + WIRE_BYTES_medium);
+        put_fields(kind, part->structure, "below_", image, 0, to + WIRE_BYTES_medium);
       }
       /* The reference medium has the thickness of the medium. */
       if (strcmp(part->name, "reference") == 0) {
-        put_fields(kind, part->structure, "reference_", image, to);
+        put_fields(kind, part->structure, "reference_", image, 0, to);
       }
-    } else if (count > 0 && kind == REGISTERS_JOB_FIT && part->form == SCHEMA_SETS) {
-      put_readings(image, count, i == FIT_ERRORS, to);
+    } else if (count > 0 && part->form == SCHEMA_SETS) {
+      put_readings(kind, image, count, strcmp(part->name, "errors") == 0, to);
     } else if (count > 0) {
       put_list(kind, part, image, count, (size_t)layout.parts[i].bytes, to);
     }
@@ -296,10 +309,11 @@ static float rounded_up(double bound) {
 
 #define STRUCTURE(name) (&schema_structures[SCHEMA_STRUCTURE_##name])
 
-/* Sets the registers of a structure's fields. Errors are rounded up. */
+/* Sets the registers of the fields of structure `index` of a list. Errors are rounded up. */
 static void set_fields(enum registers_job_kind kind, const schema_structure *structure,
-                       const uint8_t *from, uint16_t image[REGISTERS_END]) {
-  const struct links *links = links_of(kind, structure, "", true);
+                       const char *prefix, const uint8_t *from, unsigned index,
+                       uint16_t image[REGISTERS_END]) {
+  const struct links *links = links_of(kind, structure, prefix, true);
   for (unsigned i = 0; i < links->count; i++) {
     const struct link *link = &links->items[i];
     const size_t bytes = link->field->bytes / link->field->count;
@@ -309,9 +323,9 @@ static void set_fields(enum registers_job_kind kind, const schema_structure *str
       double number = 0;
       memcpy(link->field->kind == SCHEMA_f64 ? (void *)&number : (void *)&integer, at, bytes);
       if (link->registers->type != REGISTERS_F32) {
-        registers_set_u16(image, link->registers->address, (unsigned)integer);
+        registers_set_u16(image, link->registers->address + index, (unsigned)integer);
       } else {
-        registers_set_f32(image, link->registers->address + 2 * k,
+        registers_set_f32(image, link->registers->address + 2 * (index + k),
                           strstr(link->field->name, "error") != NULL ? rounded_up(number)
                                                                      : (float)number);
       }
@@ -469,7 +483,7 @@ static void take_invert(const uint8_t *request, const uint8_t *reply, size_t rep
     const struct values values = {reply + invert_array_offset(i, count), sizeof(double)};
     set_values(image, at[i], 0, &values, count, before);
   }
-  set_fields(REGISTERS_JOB_INVERT, STRUCTURE(invert_reply), reply, image);
+  set_fields(REGISTERS_JOB_INVERT, STRUCTURE(invert_reply), "", reply, 0, image);
 }
 
 /* Writes the progress of an mc job, which every reply to its request has. */
@@ -498,7 +512,8 @@ static void take_mc(const uint8_t *request, const uint8_t *reply, size_t reply_b
   if (start.state == MC_UNDER_WAY) {
     return;
   }
-  set_fields(REGISTERS_JOB_MC, STRUCTURE(mc_energy), reply + layout.parts[MC_ENERGIES].at, image);
+  set_fields(REGISTERS_JOB_MC, STRUCTURE(mc_energy), "", reply + layout.parts[MC_ENERGIES].at, 0,
+             image);
   const unsigned count = start.ring_count;
   const unsigned before = registers_u16(image, REGISTERS_AT_MC_COUNT);
   const struct values edges = {reply + layout.parts[MC_EDGES].at, sizeof(double)};
@@ -516,23 +531,13 @@ static void take_mc(const uint8_t *request, const uint8_t *reply, size_t reply_b
   registers_set_f32(image, REGISTERS_AT_MC_PROGRESS, 1);
 }
 
-/* Names the reading that is wrong. A ratio that is not finite was divided by a reference reading of
- * 0. */
-static wire_error wrong_reading(const uint8_t *request, const wire_fitted *fitted) {
-  double reading;
-  schema_layout layout;
-  schema_lay_out(&schema_fit_request, request, UINT64_MAX, &layout, NULL);
-  memcpy(&reading, request + layout.parts[FIT_VALUES].at + fitted->index * sizeof reading,
-         sizeof reading);
-  const bool value = fitted->field == 1;
-  wire_error error;
-  if (value && !isfinite(reading)) {
-    error = wire_error_make(WIRE_STATUS_BAD_VALUE, "reference_reading", "above 0");
-  } else {
-    error = wire_error_make(WIRE_STATUS_BAD_VALUE, "reading",
-                            value ? "a finite value" : "a standard error above 0");
-  }
-  error.index = 2 * fitted->index + (value ? 0 : 1);
+/* Names the reading that is wrong. Registers are finite: a value that is not was divided by a reference
+ * reading of 0. */
+static wire_error wrong_reading(unsigned field, unsigned index) {
+  wire_error error =
+      field == 1 ? wire_error_make(WIRE_STATUS_BAD_VALUE, "reference_reading", "above 0")
+                 : wire_error_make(WIRE_STATUS_BAD_VALUE, "reading", "a standard error above 0");
+  error.index = 2 * index + (field == 1 ? 0 : 1);
   return error;
 }
 
@@ -570,16 +575,55 @@ static enum registers_status take_fit(const uint8_t *request, const uint8_t *rep
   assert(whole && start.count == 1 && start.reading_count <= REGISTERS_FIT_READINGS_MAX);
   wire_get_fitted(reply + WIRE_BYTES_fit_reply, &fitted);
   if (fitted.status == CORE_FIT_STATUS_REFUSED) {
-    *error = wrong_reading(request, &fitted);
+    *error = wrong_reading(fitted.field, fitted.index);
     return REGISTERS_STATUS_ERROR;
   }
-  set_fields(REGISTERS_JOB_FIT, STRUCTURE(fitted), reply + WIRE_BYTES_fit_reply, image);
+  set_fields(REGISTERS_JOB_FIT, STRUCTURE(fitted), "", reply + WIRE_BYTES_fit_reply, 0, image);
   set_fitted(image, request, &fitted);
   const struct values residuals = {reply + fit_residuals_offset(1), sizeof(double)};
   set_values(image, REGISTERS_AT_FIT_RESIDUAL, 0, &residuals, start.reading_count,
              registers_u16(image, REGISTERS_AT_FIT_COUNT));
   registers_set_u16(image, REGISTERS_AT_FIT_COUNT, start.reading_count);
   registers_set_u16(image, REGISTERS_AT_FIT_NOTES, start.notes);
+  return fitted.status == CORE_FIT_STATUS_FITTED ? REGISTERS_STATUS_DONE
+                                                 : REGISTERS_STATUS_UNFITTED;
+}
+
+static enum registers_status take_fit_tissue(const uint8_t *request, const uint8_t *reply,
+                                             size_t reply_bytes, uint16_t image[REGISTERS_END],
+                                             wire_error *error) {
+  const wire_tissue_estimate none = {
+      .value = (double)NAN, .error = (double)NAN, .numerical = (double)NAN};
+  uint8_t absent[WIRE_BYTES_tissue_estimate];
+  wire_fit_tissue_reply start;
+  wire_fitted_tissue fitted;
+  schema_layout layout;
+  (void)request;
+  const bool whole = schema_is_whole(&schema_fit_tissue_reply, reply, reply_bytes, &layout);
+  assert(whole);
+  const uint8_t *set = reply + layout.parts[0].at, *estimates = reply + layout.parts[1].at;
+  wire_get_fit_tissue_reply(reply, &start);
+  wire_get_fitted_tissue(set, &fitted);
+  if (fitted.status == CORE_FIT_STATUS_REFUSED) {
+    *error = wrong_reading(fitted.field, fitted.index);
+    return REGISTERS_STATUS_ERROR;
+  }
+  const unsigned sought = start.sought_count;
+  wire_put_tissue_estimate(absent, &none);
+  set_fields(REGISTERS_JOB_FIT_TISSUE, STRUCTURE(fit_tissue_reply), "", reply, 0, image);
+  set_fields(REGISTERS_JOB_FIT_TISSUE, STRUCTURE(fitted_tissue), "", set, 0, image);
+  registers_set_u16(image, REGISTERS_AT_TISSUE_FIT_STATUS, fitted.status);
+  for (unsigned i = 0; i < REGISTERS_SOUGHT_MAX; i++) {
+    set_fields(REGISTERS_JOB_FIT_TISSUE, STRUCTURE(tissue_estimate), "estimate_",
+               i < sought ? estimates + i * sizeof absent : absent, i, image);
+  }
+  const struct values covariance = {reply + layout.parts[2].at, sizeof(double)};
+  const struct values residuals = {reply + layout.parts[3].at, sizeof(double)};
+  set_values(image, REGISTERS_AT_TISSUE_COVARIANCE, 0, &covariance, sought * sought,
+             REGISTERS_SOUGHT_MAX * REGISTERS_SOUGHT_MAX);
+  set_values(image, REGISTERS_AT_TISSUE_RESIDUAL, 0, &residuals, start.reading_count,
+             REGISTERS_TISSUE_READINGS_MAX);
+  registers_set_u16(image, REGISTERS_AT_TISSUE_COUNT, start.reading_count);
   return fitted.status == CORE_FIT_STATUS_FITTED ? REGISTERS_STATUS_DONE
                                                  : REGISTERS_STATUS_UNFITTED;
 }
@@ -594,8 +638,9 @@ enum registers_status modbus_translate_reply(enum registers_job_kind kind, const
       [REGISTERS_JOB_INVERT] = take_invert,
       [REGISTERS_JOB_MC] = take_mc,
   };
-  if (kind == REGISTERS_JOB_FIT) {
-    return take_fit(request, reply, reply_bytes, image, error);
+  if (registers_is_fit(kind)) {
+    return (kind == REGISTERS_JOB_FIT ? take_fit : take_fit_tissue)(request, reply, reply_bytes,
+                                                                    image, error);
   }
   take[kind](request, reply, reply_bytes, image);
   return REGISTERS_STATUS_DONE;

@@ -12,11 +12,13 @@
 #include "proto/registers.h"
 
 enum {
-  /* Bytes of the longest request, that of a fit: the design with its places, and the readings. */
-  MODBUS_REQUEST_BYTES = (int)WIRE_BYTES_fit_request + (int)WIRE_BYTES_fit_design +
-                         CORE_PARAMETERS_END * (int)WIRE_BYTES_parameter +
-                         CORE_LAYERS_MAX * (int)WIRE_BYTES_medium +
-                         5 * REGISTERS_FIT_READINGS_MAX * (int)sizeof(double),
+  /* Bytes of the longest request, that of the fit of a tissue, and room for parameters. */
+  MODBUS_REQUEST_BYTES =
+      (int)WIRE_BYTES_fit_tissue_request +
+      (REGISTERS_PROPERTIES_MAX + CORE_PARAMETERS_END) * (int)WIRE_BYTES_parameter +
+      REGISTERS_SOUGHT_MAX * (int)WIRE_BYTES_sought +
+      (5 * REGISTERS_PLACES_MAX + REGISTERS_WAVELENGTHS_MAX + 2 * REGISTERS_TISSUE_READINGS_MAX) *
+          (int)sizeof(double),
   /* Bytes of the longest reply, that of an mc: edges, photons, and R with its errors. */
   MODBUS_REPLY_BYTES =
       (int)WIRE_BYTES_mc_reply + (int)WIRE_BYTES_mc_energy +

@@ -104,14 +104,14 @@ static unsigned commit_task(struct modbus_unit *unit, struct modbus_task *task, 
   }
   registers_write(unit->registers, address, count, values);
   const unsigned etas = etas_after(unit, address, count, values);
-  const wire_error error = start_task(unit, task, etas, client);
+  wire_error error = start_task(unit, task, etas, client);
   if (error.status != WIRE_STATUS_OK) {
     registers_write(unit->registers, address, count, before);
-    return refuse_write(unit, task, &error,
-                        registers_of_field(&registers_jobs[task->kind], error.field, error.index));
+    const unsigned at = registers_of_error(&registers_jobs[task->kind], &error);
+    return refuse_write(unit, task, &error, at);
   }
   note_busy(unit);
-  const bool fits = task->kind == REGISTERS_JOB_FIT && modbus_task_runs(task);
+  const bool fits = registers_is_fit(task->kind) && modbus_task_runs(task);
   if (fits || task->evaluated) {
     unit->awaited = task;
     unit->master = client;

@@ -281,7 +281,7 @@ def test_a_refused_read_changes_nothing(master):
 
 
 def test_function_23_that_cannot_be_read_writes_nothing(master):
-    pdu = struct.pack(">BHHHHB", WRITE_READ, 9000, 1, AT["SIGMA_A"], 2, 4) + floats(9.0)
+    pdu = struct.pack(">BHHHHB", WRITE_READ, 9900, 1, AT["SIGMA_A"], 2, 4) + floats(9.0)
     assert code_of(master, pdu, 46) == BAD_ADDRESS
     assert as_floats(master.read(AT["SIGMA_A"], 2, 46))[0] != 9.0
-    assert master.job(46).error_address == 9000
+    assert master.job(46).error_address == 9900

@@ -620,3 +620,67 @@ def test_a_fit_that_is_no_success_is_not_done(master):
     master.write(AT["FIT_READING"], floats(-1.0, 0.1), unit)  # noise may make a reading negative
     with exception(BAD_VALUE):
         master.write(AT["FIT_READING_COUNT"], words(1), unit)
+
+
+# ---- fits of tissues -----------------------------------------------------------------------------
+
+NM = (660.0, 760.0, 800.0, 850.0, 930.0, 970.0)
+SOUGHT = {"hbo2_uM": 1, "hb_uM": 2, "water_fraction": 3, "a_per_mm": 32, "b": 33}
+TISSUE = {"hbo2_uM": 56, "hb_uM": 24, "water_fraction": 0.6, "a_per_mm": 1.9, "b": 1.2}
+
+
+@pytest.mark.parametrize("wavelengths", [2, 6])
+def test_a_fit_of_a_tissue_has_the_values_of_the_wire(master, client, wavelengths):
+    """Readings of a tissue give it back, with the numbers that Python gets for the same readings."""
+    unit, places, nm = 96 + wavelengths, single([2.0, 4.0, 7.0, 12.0]), NM[:wavelengths]
+    sought = {name: SOUGHT[name] for name in (list(SOUGHT) if wavelengths > 2 else ["hbo2_uM", "hb_uM", "a_per_mm"])}
+    given = {name: one for name, one in TISSUE.items() if name not in sought} | {"fat_fraction": 0.25}
+    given = {name: single([one])[0] for name, one in given.items()}
+    truth = {name: TISSUE[name] for name in sought} | given
+    R = client.eval("transport", client.tissue(nm, properties=truth), places, evaluator="f64").R
+    values, errors = np.float32(R), np.float32(0.01 * R)
+    ids = SOUGHT | {"fat_fraction": 4}
+    written = floats(*np.stack([values, errors], -1).ravel().tolist())
+    setting(master, unit, MODEL=MODELS["transport"])
+    setting(master, unit, TISSUE_WAVELENGTH_COUNT=words(len(nm), len(places), len(given), len(sought)))
+    setting(master, unit, TISSUE_PROPERTY=words(*sought.values()), TISSUE_PARAMETER=words(*(ids[n] for n in given)))
+    setting(master, unit, TISSUE_VALUE=floats(*given.values()), TISSUE_WAVELENGTH=floats(*nm), TISSUE_AT=floats(*places))
+    for token in (7, 8):  # the second fits at once, as the places are prepared
+        answer = master.write_read(AT["TISSUE_COMMIT"], words(token, 0) + floats(0.0) + written, AT["TISSUE_STATUS"], 125, unit)
+        assert token == 7 or as_words(answer)[:7] == [DONE, 8, 0, 0, 2, values.size, 1]
+        assert ended(master, "TISSUE", unit)[:3] == (DONE, token, 0)
+    fit = client.fit_tissue(list(sought), nm, places, values, errors, properties=given, residuals=True)
+    n, count = len(sought), values.size
+    estimates = list(fit.estimates.values())
+    same = lambda name, count, known: np.testing.assert_allclose(numbers(master, name, count, unit), known, rtol=1e-6)
+    same("TISSUE_ESTIMATE", n, [one["value"] for one in estimates])
+    same("TISSUE_ESTIMATE_ERROR", n, [one["error"] for one in estimates])
+    same("TISSUE_ESTIMATE_NUMERICAL", n, [one["numerical"] for one in estimates])
+    same("TISSUE_COVARIANCE", n * n, fit.covariance.ravel())
+    same("TISSUE_RESIDUAL", count, fit.residuals.ravel())
+    names = ["saturation", "saturation_error", "total", "total_error"]
+    same("TISSUE_SATURATION", 4, [fit.sets[name] for name in names])
+    same("TISSUE_G", 2, [0.9, 1.4])
+    assert as_words(master.read(AT["TISSUE_FIT_STATUS"], 4, unit)) == [1, 1, 1, 1]
+    assert as_words(master.read(AT["TISSUE_ESTIMATE_STATUS"], 8, unit)) == [1] * n + [0] * (8 - n)
+    assert np.isnan(numbers(master, "TISSUE_ESTIMATE", 8, unit)[n:]).all()
+    for name, value in zip(sought, numbers(master, "TISSUE_ESTIMATE", n, unit)):
+        assert value == pytest.approx(TISSUE[name], rel=0.01)
+
+
+def test_a_fit_of_a_tissue_names_the_register_that_is_wrong(master):
+    unit = 95
+    setting(master, unit, TISSUE_SOUGHT_COUNT=2, TISSUE_PROPERTY=words(2, 2))
+    for fault, register in [({}, "TISSUE_PROPERTY"), ({"TISSUE_PROPERTY": words(1, 35)}, "TISSUE_PROPERTY")]:
+        setting(master, unit, **fault)
+        with exception(BAD_VALUE):
+            master.write_one(AT["TISSUE_COMMIT"], 7, unit)
+        assert head(master, "TISSUE", unit)[2:4] == (BAD_VALUE_STATUS, AT[register] + 1)
+    with exception(BAD_VALUE):
+        setting(master, unit, TISSUE_PROPERTY=words(1, 99))
+    with exception(BAD_VALUE):
+        setting(master, unit, TISSUE_PROPERTY=words(1, 2), TISSUE_COMMIT=7)
+    assert master.read(AT["TISSUE_ERROR_TEXT"], 40, unit).startswith(b"a_per_mm: 0 to 1000")
+    setting(master, unit, TISSUE_PROPERTY=words(1, 2), TISSUE_TISSUE=8, TISSUE_PLACE_COUNT=2, TISSUE_AT=floats(2.0, 4.0))
+    setting(master, unit, MODEL=MODELS["transport"], TISSUE_READING=floats(*[0.01, 1e-4] * 3, 0.01, 0.0), TISSUE_COMMIT=7)
+    assert ended(master, "TISSUE", unit)[:4] == (ERROR, 0, BAD_VALUE_STATUS, AT["TISSUE_READING"] + 14)

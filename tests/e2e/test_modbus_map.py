@@ -91,7 +91,7 @@ def test_statistics_are_the_daemons(daemon):
     with Tcp(one) as master, one.client() as client:
         master.write_read(100, input_block(1, radii=[1.0]), 300, 8)
         with exception(BAD_ADDRESS):
-            master.read(9000, 1)
+            master.read(9900, 1)
         counted = client.statistics()
         for name in ("transactions", "exceptions", "evaluations", "connections_open"):
             assert counted[f"modbus_{name}"] == 1
