@@ -99,12 +99,13 @@ static int first_node(const core_profile *profile) {
 static void begin_transform(struct shared *shared, const core_profile *profile) {
   shared->profile = profile;
   for (int i = 0; i < ONES + NEAR; i++) {
-    const double t = power(i - ONES - NEAR), quarter = 0.25 * t * t;
-    double series = 1;
-    for (int n = i < ONES ? 0 : 9; n > 0; n--) {
-      series = 1 - quarter / (n * n) * series;
+    shared->wave[i] = 1;
+  }
+  for (int i = 0; i < NEAR; i++) {
+    const double t = power(i - NEAR), quarter = 0.25 * t * t;
+    for (int n = 9; n > 0; n--) {
+      shared->wave[ONES + i] = 1 - quarter / (n * n) * shared->wave[ONES + i];
     }
-    shared->wave[i] = series;
   }
   for (int i = 0; i < WAVES; i++) {
     shared->wave[ONES + NEAR + i] = core_filter[i];

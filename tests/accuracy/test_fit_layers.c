@@ -106,9 +106,9 @@ UNIT_TEST(a_layer_that_no_light_reaches_is_undetermined) {
 }
 
 UNIT_TEST(readings_that_are_better_than_the_solver_are_not_fitted) {
-  static const core_medium skin[] = {{1.5, 20, 0.8, 1.4, 0.06}, {0.03, 15, 0.8, 1.4, 0}};
+  static const core_medium dark[] = {{1, 10, 0.8, 1.4, 0.5}, {0.5, 10, 0.8, 1.4, 0}};
   const core_layers_fit fit =
-      fit_of(skin, CORE_UNKNOWN_SIGMA_A_2, CORE_FIT_SCALE_ABSOLUTE, 0.05, 8, 1e-5, 4000);
+      fit_of(dark, CORE_UNKNOWN_SIGMA_A_2, CORE_FIT_SCALE_ABSOLUTE, 0.5, 4, 1e-5, 4000);
   assert_int_equal(fit.status, CORE_FIT_STATUS_UNFINISHED);
   assert_true(fit.numerical_error > 1e-5);
 }
