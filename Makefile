@@ -86,9 +86,10 @@ endef
 $(OBJ)/%.o: %.c Makefile
 	$(call compile,$<,$(ALL_CFLAGS))
 # Loops over blocks of a constant length stay loops: written out they are no faster, and several times
-# as long. But the series of transport are written out, so that their factors are constants.
+# as long. But the series of transport are written out, so that their factors are constants. Its
+# selections stay apart, too: GCC vectorizes none that it has merged with the one before.
 SHORT_LOOPS = $(if $(findstring clang,$(CC)),,--param max-completely-peeled-insns=60)
-$(OBJ)/core/models/transport.%: SHORT_LOOPS =
+$(OBJ)/core/models/transport.%: SHORT_LOOPS = $(if $(findstring clang,$(CC)),,-fno-thread-jumps)
 define kernel_rule
 $(OBJ)/core/models/%.$(1).f$(2).o: core/models/%.c Makefile
 	$$(call compile,$$< $(1) f$(2),-DCORE_ISA=$(1) -DCORE_REAL=$(2) $$(KERNEL_CFLAGS) $$(ISA_FLAGS_$(1)) $$(SHORT_LOOPS))

@@ -1,6 +1,7 @@
 #include "core/energy.h"
 
 #include <math.h>
+#include <pthread.h>
 
 #define CORE_REAL 64
 #include "core/kernel.h"
@@ -10,7 +11,21 @@
  * double precision with this width wherever the panel has a noticeable share of the energy. */
 #define WIDTH 0.5
 
-enum { NODES = CORE_LEGENDRE_TERMS };
+enum { NODES = CORE_LEGENDRE_TERMS, KEPT = 96 };
+
+static double radius_at(size_t panel, int i) {
+  return real_exp_signed((double)panel * WIDTH + WIDTH * core_gauss_node(i));
+}
+
+/* The radii at the nodes of the first panels, over the first radius: all that most profiles need. */
+static double kept[KEPT][NODES];
+static pthread_once_t kept_once = PTHREAD_ONCE_INIT;
+
+static void keep_radii(void) {
+  for (size_t i = 0; i < KEPT * NODES; i++) {
+    kept[i / NODES][i % NODES] = radius_at(i / NODES, (int)(i % NODES));
+  }
+}
 
 static size_t panels_between(double first_mm, double last_mm) {
   return (size_t)ceil(real_log(last_mm / first_mm, 0) / WIDTH);
@@ -32,14 +47,14 @@ static void integrate_series(const double *g, double half_width, double *series)
   }
 }
 
-/* Returns the energy of the panel that begins at y = ln(r / first), and writes its series. */
-static double build_panel(core_kernel_f64 *R, const double *c, double first_mm, double y,
+/* Returns the energy of a panel, and writes its series. */
+static double build_panel(core_kernel_f64 *R, const double *c, double first_mm, size_t panel,
                           double *series) {
   double r[NODES];
   double g[NODES];
   double energy = 0;
   for (int i = 0; i < NODES; i++) {
-    r[i] = first_mm * real_exp_signed(y + WIDTH * core_gauss_node(i));
+    r[i] = first_mm * (panel < KEPT ? kept[panel][i] : radius_at(panel, i));
   }
   R(c, NODES, r, g);
   for (int i = 0; i < NODES; i++) {
@@ -53,6 +68,7 @@ static double build_panel(core_kernel_f64 *R, const double *c, double first_mm, 
 double core_energy_build(core_kernel_f64 *R, const double *c, double first_mm, double last_mm,
                          double *table) {
   const size_t panels = panels_between(first_mm, last_mm);
+  pthread_once(&kept_once, keep_radii);
   double ends[3] = {first_mm, first_mm * 1.0625, first_mm * 0x1p-64};
   double density[3]; /* 2 pi r R at these radii */
   R(c, 3, ends, density);
@@ -69,7 +85,7 @@ double core_energy_build(core_kernel_f64 *R, const double *c, double first_mm, d
   double energy = density[0] * first_mm * (steep ? 1 : rises ? 0.5 + 0.25 * rise : 0.5);
   for (size_t i = 0; i < panels; i++) {
     double *series = table + CORE_ENERGY_SERIES + i * CORE_ENERGY_TERMS;
-    const double gained = build_panel(R, c, first_mm, (double)i * WIDTH, series);
+    const double gained = build_panel(R, c, first_mm, i, series);
     series[0] += energy;
     energy += gained;
   }

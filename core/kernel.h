@@ -86,6 +86,17 @@ static inline real real_power_of_two(real k) {
                         << REAL_MANTISSA_BITS);
 }
 
+/* Returns the largest integer up to x, which is from 0 to 2^31. */
+static inline real real_floor(real x) {
+  const real nearest = (x + REAL_ROUND_MAGIC) - REAL_ROUND_MAGIC;
+  return nearest - (nearest > x ? 1 : 0);
+}
+
+/* Returns the integer x, from 0 to 2^31, as an index. */
+static inline int64_t real_index(real x) {
+  return (int64_t)(real_to_bits(x + REAL_ROUND_MAGIC) - real_to_bits(REAL_ROUND_MAGIC));
+}
+
 /* The parts of e^x = 2^k (1 + m), where reduced = x - k ln(2), |reduced| <= ln(2) / 2, and m =
  * e^reduced - 1 = reduced (1 + reduced quotient). */
 typedef struct real_exp_parts {

@@ -91,19 +91,20 @@ struct series {
   double slope; /* derivative by s, which runs from -1 to 1 in the panel */
 };
 
-static inline struct series sum_series(const double *a, double s) {
+/* at: position of the series in c. */
+static inline struct series sum_series(const double *c, int64_t at, double s) {
   double next = 0, after = 0, next_slope = 0, after_slope = 0;
   for (int k = TERMS - 1; k >= 1; k--) {
     const double up = (2 * k + 1) / (k + 1.0);
     const double down = (k + 1.0) / (k + 2);
-    const double value = a[k] + up * s * next - down * after;
+    const double value = c[at + k] + up * s * next - down * after;
     const double slope = up * real_fma(s, next_slope, next) - down * after_slope;
     after = next;
     next = value;
     after_slope = next_slope;
     next_slope = slope;
   }
-  return (struct series){real_fma(s, next, real_fma(-0.5, after, a[0])),
+  return (struct series){real_fma(s, next, real_fma(-0.5, after, c[at])),
                          real_fma(s, next_slope, real_fma(-0.5, after_slope, next))};
 }
 
@@ -124,15 +125,16 @@ static inline struct profile look(const double *c, double r) {
   const double ln_x = real_log(kept, 0);
   double begin = c[BEGINS], first = c[FIRST_PANEL], per_panel = c[PER_PANEL];
   for (int i = 1; i < SEGMENTS; i++) {
-    const bool behind = ln_x >= c[BEGINS + i];
-    begin = behind ? c[BEGINS + i] : begin;
-    first = behind ? c[FIRST_PANEL + i] : first;
-    per_panel = behind ? c[PER_PANEL + i] : per_panel;
+    const double begins = c[BEGINS + i], firsts = c[FIRST_PANEL + i], per_panels = c[PER_PANEL + i];
+    const bool behind = ln_x >= begins;
+    begin = behind ? begins : begin;
+    first = behind ? firsts : first;
+    per_panel = behind ? per_panels : per_panel;
   }
   const double y = real_fma(ln_x - begin, per_panel, first);
-  const double panel = real_max(real_min((double)(int64_t)y, c[PANELS] - 1), 0);
+  const double panel = real_floor(real_max(real_min(y, c[PANELS] - 1), 0));
   const double s = real_max(real_min(2 * (y - panel) - 1, 1), -1);
-  const struct series sum = sum_series(&c[SERIES + (size_t)panel * TERMS], s);
+  const struct series sum = sum_series(c, SERIES + real_index(panel) * TERMS, s);
   const double kx = c[KAPPA] * x;
   const double kl = c[KAPPA] * c[LAST_X];
   const double power = 2 + c[STEEPER];
@@ -180,7 +182,8 @@ static inline double transport_ln_R(const double *c, double r) {
   const double ln_R = p.value - c[KAPPA] * p.x + real_log(c[R_SCALE], 0);
   const double near = real_log(real_max(p.x, 1e-300), 0);
   const double bounded = p.x < 1e100 ? ln_R - near : -(double)INFINITY;
-  return c[LIMIT] > 0 ? (p.x > 0 ? bounded : (double)INFINITY) : -(double)INFINITY;
+  const double any = p.x > 0 ? bounded : (double)INFINITY;
+  return c[LIMIT] > 0 ? any : -(double)INFINITY;
 }
 
 static inline double transport_T(const double *c, double r) {
@@ -200,23 +203,25 @@ static inline double by_scale(const double *c, struct profile p) {
 
 /* Returns the derivative of ln R whose series is at this position. */
 static inline double by_series(const double *c, double position, struct profile p) {
-  const double *series = &c[(size_t)position + (size_t)p.panel * TERMS];
   const double last = c[LAST_X], beyond = real_max(p.x, last);
   const double moved = beyond / (1 + c[KAPPA] * beyond) - last / (1 + c[KAPPA] * last);
-  return sum_series(series, p.s).value + c[KAPPA_BY_SERIES] * (moved - p.x);
+  return sum_series(c, (int64_t)position + real_index(p.panel) * TERMS, p.s).value +
+         c[KAPPA_BY_SERIES] * (moved - p.x);
 }
 
 static inline double transport_by_sigma_a(const double *c, double r) {
   const struct profile p = look(c, r);
   const double by = real_fma(c[SCALE_OF_A], by_scale(c, p), by_series(c, c[BY_SIGMA_A], p));
-  return c[LIMIT] > 0 && p.far > 0 ? by : 0;
+  const double finite = p.far > 0 ? by : 0;
+  return c[LIMIT] > 0 ? finite : 0;
 }
 
 static inline double transport_by_sigma_s(const double *c, double r) {
   const struct profile p = look(c, r);
   const double series = c[SIGN_OF_S] * by_series(c, c[BY_SIGMA_S], p);
   const double by = real_fma(c[SCALE_OF_S], by_scale(c, p), series);
-  return c[LIMIT] > 0 && p.far > 0 ? by : 0;
+  const double finite = p.far > 0 ? by : 0;
+  return c[LIMIT] > 0 ? finite : 0;
 }
 
 CORE_KERNEL(eval_R, transport_R)

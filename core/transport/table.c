@@ -388,22 +388,6 @@ static void polynomials_of_v(const double *field, double eta, double *values) {
   core_chebyshev_polynomials(TERMS_MAX, mapped(transport_table_v(eta), range[0], range[1]), values);
 }
 
-/* Sets values[] to the polynomials of a coordinate at x, which is `first` and `last` at its ends. */
-static void polynomials_of(double (*coordinate)(double), double x, double first, double last,
-                           double *values) {
-  core_chebyshev_polynomials(TERMS_MAX, mapped(coordinate(x), coordinate(first), coordinate(last)),
-                             values);
-}
-
-static void polynomials_of_t(const double *field, double albedo, double *values) {
-  polynomials_of(transport_table_t, albedo, field[TRANSPORT_TABLE_ALBEDO_MOST],
-                 field[TRANSPORT_TABLE_ALBEDO_LEAST], values);
-}
-
-static void polynomials_of_u(const double *field, double albedo, double *values) {
-  polynomials_of(transport_table_u, albedo, 1, field[TRANSPORT_TABLE_ALBEDO_LEAST], values);
-}
-
 /* Completes a difference whose terms have been set: joins its panels and sets last_slope. */
 static void end_difference(transport_difference *difference) {
   for (size_t i = 0; i < PANELS; i++) {
@@ -431,8 +415,9 @@ static void set_weights(const double *field, bool of_difference, double g, doubl
                         struct weights *weights) {
   polynomials_of_v(field, eta, weights->of_v);
   if (of_difference) {
-    polynomials_of(transport_table_w, g, field[TRANSPORT_TABLE_G_LEAST],
-                   field[TRANSPORT_TABLE_G_MOST], weights->of_l);
+    const double first = transport_table_w(field[TRANSPORT_TABLE_G_LEAST]);
+    const double last = transport_table_w(field[TRANSPORT_TABLE_G_MOST]);
+    core_chebyshev_polynomials(TERMS_MAX, mapped(transport_table_w(g), first, last), weights->of_l);
   } else {
     memset(weights->of_l, 0, sizeof weights->of_l);
     weights->of_l[0] = 1;
@@ -476,6 +461,7 @@ struct part {
   bool of_difference;
   size_t totals;
   const struct packed *series; /* series of this side of eta, the totals before the panels */
+  double ends[2];              /* the albedo's coordinate, t or u, at the ends of its range */
   /* rows of each series; NULL: not kept, so they are summed for each medium */
   const struct rows *rows;
   struct weights weights;
@@ -488,6 +474,10 @@ static void set_part(const transport_table *table, bool of_difference, double g,
   part->of_difference = of_difference;
   part->totals = number_of_totals(side);
   part->series = table->packed->series[side];
+  const double least = table->field[TRANSPORT_TABLE_ALBEDO_LEAST];
+  part->ends[0] = of_difference ? transport_table_u(1)
+                                : transport_table_t(table->field[TRANSPORT_TABLE_ALBEDO_MOST]);
+  part->ends[1] = of_difference ? transport_table_u(least) : transport_table_t(least);
   part->rows = NULL;
   set_weights(table->field, of_difference, g, eta, &part->weights);
 }
@@ -520,31 +510,35 @@ static void add_row(const double *row, size_t count, double of_albedo, double *t
   }
 }
 
-/* Sets terms[] to the Chebyshev coefficients of series n for a medium. Returns their number. */
-static size_t sum_series(const struct part *part, size_t n, const double *of_albedo,
-                         double terms[TERMS_MAX]) {
-  const struct packed *series = &part->series[n];
-  double own[TERMS_MAX];
-  memset(terms, 0, TERMS_MAX * sizeof *terms);
-  for (size_t i = 0; i < series->of_albedo; i++) {
+/* Sets term[] to the Chebyshev coefficients of series n, or term[0] to the logarithm of a total over
+ * the albedo. */
+static void sum_series(const struct part *part, size_t n, double albedo, size_t terms,
+                       double *term) {
+  double polynomial[TERMS_MAX], own[TERMS_MAX];
+  const double at = part->of_difference ? transport_table_u(albedo) : transport_table_t(albedo);
+  core_chebyshev_polynomials(part->series[n].of_albedo, mapped(at, part->ends[0], part->ends[1]),
+                             polynomial);
+  memset(term, 0, terms * sizeof *term);
+  for (size_t i = 0; i < part->series[n].of_albedo; i++) {
     if (part->rows == NULL) {
       sum_row(part, n, i, own);
     }
-    add_row(part->rows != NULL ? part->rows[n].row[i] : own, series->terms, of_albedo[i], terms);
+    add_row(part->rows != NULL ? part->rows[n].row[i] : own, terms, polynomial[i], term);
   }
-  return series->terms;
 }
 
-static double sum_total(const struct part *part, size_t n, const double *of_albedo, double albedo) {
-  double logarithm[TERMS_MAX];
-  sum_series(part, n, of_albedo, logarithm);
-  return albedo * fn_exp(logarithm[0]);
+static double sum_total(const struct part *part, size_t n, double albedo) {
+  double logarithm;
+  sum_series(part, n, albedo, 1, &logarithm);
+  return albedo * fn_exp(logarithm);
 }
 
-static void sum_panels(const struct part *part, const double *of_albedo, size_t terms[PANELS],
+static void sum_panels(const struct part *part, double albedo, size_t terms[PANELS],
                        double term[PANELS][TERMS_MAX]) {
   for (size_t i = 0; i < PANELS; i++) {
-    terms[i] = sum_series(part, part->totals + i, of_albedo, term[i]);
+    terms[i] = part->series[part->totals + i].terms;
+    memset(term[i], 0, sizeof term[i]);
+    sum_series(part, part->totals + i, albedo, terms[i], term[i]);
   }
 }
 
@@ -552,26 +546,22 @@ static void sum_panels(const struct part *part, const double *of_albedo, size_t 
 static void add_difference(const struct part *part, double albedo, double g, double kappa,
                            transport_series *series) {
   transport_difference *difference = &series->difference;
-  double of_u[TERMS_MAX];
-  polynomials_of_u(part->field, albedo, of_u);
   transport_table_edges(part->field, true, transport_kappa(albedo), difference->edge);
-  sum_panels(part, of_u, difference->terms, difference->term);
+  sum_panels(part, albedo, difference->terms, difference->term);
   end_difference(difference);
   series->g = g;
   series->kappa = kappa;
-  series->total = sum_total(part, 0, of_u, albedo);
+  series->total = sum_total(part, 0, albedo);
 }
 
 /* Sets the part of *series for isotropic scattering. The table covers the albedo. */
 static void sum_isotropic(const struct part *part, double albedo, transport_series *series) {
-  double of_t[TERMS_MAX];
-  polynomials_of_t(part->field, albedo, of_t);
   series->g = 0;
   series->kappa = transport_kappa(albedo);
-  series->total = sum_total(part, 0, of_t, albedo);
+  series->total = sum_total(part, 0, albedo);
   series->ln_albedo = fn_log(albedo);
   transport_table_edges(part->field, false, series->kappa, series->edge);
-  sum_panels(part, of_t, series->terms, series->term);
+  sum_panels(part, albedo, series->terms, series->term);
 }
 
 static double Q_of(const transport_series *series, double y) {
@@ -665,14 +655,8 @@ transport_slice *transport_slice_create(const transport_table *table, double g, 
   return slice;
 }
 
-transport_slice_sums transport_slice_total(const transport_slice *slice, double albedo) {
-  double of_t[TERMS_MAX], of_u[TERMS_MAX];
-  const bool isotropic = slice->g == 0;
-  polynomials_of_t(slice->table->field, albedo, of_t);
-  polynomials_of_u(slice->table->field, albedo, of_u);
-  return (transport_slice_sums){
-      sum_total(&slice->part[isotropic ? 0 : 1], 0, isotropic ? of_t : of_u, albedo),
-      sum_total(&slice->part[1], 1, of_u, albedo)};
+double transport_slice_total(const transport_slice *slice, bool diffuse, double albedo) {
+  return sum_total(&slice->part[diffuse || slice->g != 0 ? 1 : 0], diffuse ? 1 : 0, albedo);
 }
 
 void transport_slice_look_up(const transport_slice *slice, double albedo, double kappa,

@@ -212,13 +212,9 @@ transport_slice *transport_slice_create(const transport_table *table, double g, 
 void transport_slice_look_up(const transport_slice *slice, double albedo, double kappa,
                              transport_series *series);
 
-/* The share that leaves of the light that entered, by a beam at right angles or as diffuse light.
- * The table has to cover the albedo; g may be 0. */
-typedef struct transport_slice_sums {
-  double beam;
-  double diffuse;
-} transport_slice_sums;
-transport_slice_sums transport_slice_total(const transport_slice *slice, double albedo);
+/* Returns the share that leaves of the light that entered, as diffuse light or by a beam at right
+ * angles. The table has to cover the albedo; g may be 0. */
+double transport_slice_total(const transport_slice *slice, bool diffuse, double albedo);
 
 /* Returns ln(x R) + kappa x at y = ln x. */
 double transport_series_at(const transport_series *series, double y);

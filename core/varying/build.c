@@ -139,9 +139,8 @@ struct albedos {
 };
 
 static double transport_albedo(const struct albedos *albedos, double s, double w) {
-  const transport_slice_sums totals =
-      rows_totals(albedos->rows, s, fmax(w, rows_w_least(albedos->rows)));
-  return albedos->light == CORE_LIGHT_BEAM ? totals.beam : totals.diffuse;
+  return rows_total(albedos->rows, albedos->light == CORE_LIGHT_DIFFUSE, s,
+                    fmax(w, rows_w_least(albedos->rows)));
 }
 
 static double dipole_albedo(const struct albedos *albedos, double s, double w) {

@@ -305,39 +305,32 @@ double rows_kappa_per_s(const rows *all, double s, double w) {
   return kappa_of(all, s > all->s_least ? w * (1 + s) : (1 - least) * (1 + least)) / least;
 }
 
-/* Returns totals below the table's least albedo. There a total is nearly proportional to the
+/* Returns a total below the table's least albedo. There a total is nearly proportional to the
  * albedo; the quotient is extrapolated quadratically. */
-static transport_slice_sums totals_below(const rows *all, double w) {
-  double weight[BASES];
-  transport_slice_sums sums = {0, 0};
+static double total_below(const rows *all, bool diffuse, double w) {
+  double weight[BASES], sum = 0;
   set_weights(all, false, w, weight);
   for (int i = 0; i < BASES; i++) {
     const double base = all->base_at[1][i];
     const double per_albedo = weight[i] * (w * (2 - w)) / (base * (2 - base));
-    const transport_slice_sums totals = transport_slice_total(all->slice, base * (2 - base));
-    sums.beam += per_albedo * totals.beam;
-    sums.diffuse += per_albedo * totals.diffuse;
+    sum += per_albedo * transport_slice_total(all->slice, diffuse, base * (2 - base));
   }
-  return sums;
+  return sum;
 }
 
 /* Near s = 0 a total is 1 less a multiple of s; the multiple is extrapolated in a straight line. */
-transport_slice_sums rows_totals(const rows *all, double s, double w) {
+double rows_total(const rows *all, bool diffuse, double s, double w) {
   if (w < all->w_least) {
-    return totals_below(all, w);
+    return total_below(all, diffuse, w);
   }
   if (s >= all->s_least) {
-    return transport_slice_total(all->slice, w * (1 + s));
+    return transport_slice_total(all->slice, diffuse, w * (1 + s));
   }
   const double h = all->s_least;
-  const transport_slice_sums one = transport_slice_total(all->slice, (1 - h) * (1 + h));
-  const transport_slice_sums two = transport_slice_total(all->slice, (1 - 2 * h) * (1 + 2 * h));
-  const double share = (s - h) / h;
-  const double beam = (1 - one.beam) / h, diffuse = (1 - one.diffuse) / h;
-  return (transport_slice_sums){
-      1 - s * (beam + share * ((1 - two.beam) / (2 * h) - beam)),
-      1 - s * (diffuse + share * ((1 - two.diffuse) / (2 * h) - diffuse)),
-  };
+  const double one = transport_slice_total(all->slice, diffuse, (1 - h) * (1 + h));
+  const double two = transport_slice_total(all->slice, diffuse, (1 - 2 * h) * (1 + 2 * h));
+  const double share = (s - h) / h, per_s = (1 - one) / h;
+  return 1 - s * (per_s + share * ((1 - two) / (2 * h) - per_s));
 }
 
 void rows_fill(const rows *all, double s, double w, rows_row *row) {
@@ -345,7 +338,7 @@ void rows_fill(const rows *all, double s, double w, rows_row *row) {
   row->s = s;
   row->w = w;
   row->albedo = w * (1 + s);
-  row->total = rows_totals(all, s, w).beam;
+  row->total = rows_total(all, false, s, w);
   row->kappa = kappa_of_row(all, s, w);
   row->lift = 0;
   if (s < all->s_least || w < all->w_least) {

@@ -67,8 +67,8 @@ double rows_w_least(const rows *all);
  * of them may be small. s: 0 to 1. */
 void rows_fill(const rows *all, double s, double w, rows_row *row);
 
-/* Returns the energy that leaves per power that has entered, of a beam or of diffuse light. */
-transport_slice_sums rows_totals(const rows *all, double s, double w);
+/* Returns the energy that leaves per power that has entered, of diffuse light or of a beam. */
+double rows_total(const rows *all, bool diffuse, double s, double w);
 
 /* Returns kappa / s. */
 double rows_kappa_per_s(const rows *all, double s, double w);
