@@ -3,6 +3,7 @@
 #include <string.h>
 #include <strings.h>
 
+#include "core/fit/spectral.h"
 #include "proto/decimal.h"
 #include "proto/eval.h"
 #include "proto/mc.h"
@@ -268,7 +269,8 @@ static size_t short_bytes(const char *name) {
   return capitals > 0 ? capitals : strlen(name) > 3 && strchr("aeiou", name[3]) != NULL ? 3 : 4;
 }
 
-/* Reads an entry of a list by its id, its name, or the name's short form if no other has the same. */
+/* Reads an entry of a list by its id, its name, or the name's short form or what stands before a unit,
+ * if no other has the same. */
 static bool read_choice(struct scpi_session *s, const struct scpi_parameter *parameter,
                         const schema_field *field, double *id) {
   if (parameter->kind == SCPI_DECIMAL) {
@@ -282,7 +284,7 @@ static bool read_choice(struct scpi_session *s, const struct scpi_parameter *par
       return true;
     }
     if (strncasecmp(parameter->text, one->name, parameter->bytes) == 0 &&
-        parameter->bytes == short_bytes(one->name)) {
+        (parameter->bytes == short_bytes(one->name) || one->name[parameter->bytes] == '_')) {
       *id = one->id;
       found++;
     }
@@ -591,20 +593,51 @@ COMMAND(use_option) {
 }
 
 COMMAND(use_property) {
-  struct scpi_parameter parameter;
-  const core_choice *one = core_properties;
-  if (!take_parameter(s, unit, &parameter)) {
+  uint16_t id;
+  return !take_field(s, unit, FIELDS_OF(sought)->fields, NULL, &id) ||
+                 (unit->query && !took_all(s, unit))
+             ? FAILED
+             : use_structure(s, command, unit, (uint8_t *)&s->settings.properties[id]);
+}
+
+COMMAND(use_unknowns) {
+  wire_sought sought[CORE_PROPERTIES_END] = {{0}};
+  const schema_field *property = FIELDS_OF(sought)->fields;
+  bool first = true;
+  (void)command;
+  for (unsigned id = 0; id < CORE_PROPERTIES_END && unit->query; id++) {
+    if (s->settings.sought[id].property != 0) {
+      answer_field(s, property, (const uint8_t *)&s->settings.sought[id].property, first);
+      first = false;
+    }
+  }
+  if (unit->query) {
+    return first ? answer(s, "\"\"") : DONE;
+  }
+  do {
+    uint16_t id;
+    if (!take_field(s, unit, property, NULL, &id)) {
+      return FAILED;
+    }
+    sought[id].property = id;
+  } while (unit->more);
+  memcpy(s->settings.sought, sought, sizeof sought);
+  return DONE;
+}
+
+COMMAND(use_limit) {
+  const schema_field *fields = FIELDS_OF(sought)->fields;
+  wire_sought one = {0};
+  if (!take_field(s, unit, fields, NULL, &one.property) ||
+      !take_field(s, unit, fields + 3, NULL, &one.low) ||
+      !take_field(s, unit, fields + 4, NULL, &one.high) || !took_all(s, unit)) {
     return FAILED;
   }
-  while (one->name != NULL && !is_name(&parameter, one->name)) {
-    one++;
+  if (s->settings.sought[one.property].property == 0) {
+    return fail_with(s, SCPI_CONFLICT, command->pattern, "a property of FIT:SPECtrum:UNKNown");
   }
-  if (one->name == NULL) {
-    return fail_with(s, SCPI_BAD_VALUE, "property", "a name of core/TISSUE.md, as hbo2_uM");
-  }
-  return unit->query && !took_all(s, unit)
-             ? FAILED
-             : use_structure(s, command, unit, (uint8_t *)&s->settings.properties[one->id]);
+  s->settings.sought[one.property] = one;
+  return DONE;
 }
 
 COMMAND(use_format) {
@@ -648,6 +681,11 @@ static uint16_t list_given(const double *values, size_t end, wire_parameter *giv
   return count;
 }
 
+/* Returns the numbers of a list; NULL if it is empty. */
+static const void *numbers_of(const struct scpi_session *s, enum scpi_list list) {
+  return length_of(s, list) > 0 ? s->lists[list].bytes : NULL;
+}
+
 /* Starts a job whose request begins with these structures. Its parts come from the settings, by their
  * names. given: its parameters; places: its radii. */
 static bool start_task(struct scpi_session *s, enum scpi_task_index index, enum wire_type type,
@@ -659,7 +697,11 @@ static bool start_task(struct scpi_session *s, enum scpi_task_index index, enum 
                  {"parameter", given},
                  {"property", given},
                  {"reference", &s->settings.reference},
-                 {"wavelength", &s->settings.wavelength_nm},
+                 {"wavelength", index == SCPI_SPECTRUM ? numbers_of(s, SCPI_WAVELENGTHS)
+                                                       : &s->settings.wavelength_nm},
+                 {"sought", s->lists[SCPI_GIVEN].bytes},
+                 {"mhz", numbers_of(s, SCPI_MHZ)},
+                 {"quantity", numbers_of(s, SCPI_QUANTITIES)},
                  {"r", places != NULL ? places->bytes : NULL},
                  {"at", s->lists[SCPI_PLACES].bytes},
                  {"values", s->lists[SCPI_READINGS].bytes},
@@ -699,6 +741,10 @@ static bool has_medium(struct scpi_session *s) {
          fail_with(s, SCPI_CONFLICT, "MEDium", "a medium, which has no default");
 }
 
+static const schema_payload *const replies[] = {[SCPI_FIT] = &schema_fit_reply,
+                                                [SCPI_SPECTRUM] = &schema_fit_tissue_reply,
+                                                [SCPI_MC] = &schema_mc_reply};
+
 /* Returns the reply of a job that has ended; notes an error if there is none. */
 static const uint8_t *reply_of(struct scpi_session *s, const struct scpi_command *command,
                                schema_layout *layout) {
@@ -708,15 +754,14 @@ static const uint8_t *reply_of(struct scpi_session *s, const struct scpi_command
     return NULL;
   }
   const uint8_t *reply = (const uint8_t *)task->reply.bytes;
-  schema_lay_out(command->task == SCPI_FIT ? &schema_fit_reply : &schema_mc_reply, reply,
-                 UINT64_MAX, layout, NULL);
+  schema_lay_out(replies[command->task], reply, UINT64_MAX, layout, NULL);
   return reply;
 }
 
-/* Answers with the fields of a part's first structure that `parameters` lists; sd_X is the root of
+/* Answers with the fields that `parameters` lists of a part's structures; sd_X is the root of
  * variance_X. */
 COMMAND(tell_fields) {
-  double values[sizeof(wire_fitted) / sizeof(double)];
+  double values[CORE_SPECTRAL_UNKNOWNS_MAX * sizeof(wire_tissue_estimate) / sizeof(double)];
   size_t count = 0, bytes, at;
   schema_layout layout;
   const uint8_t *reply = reply_of(s, command, &layout);
@@ -724,18 +769,29 @@ COMMAND(tell_fields) {
     return FAILED;
   }
   reply += layout.parts[command->number].at;
-  for (const char *name = command->parameters; *name != '\0';
-       name += bytes + strspn(name + bytes, ", ")) {
-    char text[HEADER_BYTES];
-    const bool root = strncmp(name, "sd_", 3) == 0;
-    bytes = strcspn(name, ",");
-    snprintf(text, sizeof text, "%s%.*s", root ? "variance_" : "", (int)bytes - 3 * root,
-             name + 3 * root);
-    const schema_field *field = field_named(command->structure, text, strlen(text), &at);
-    const double value = number_at(field, reply + at);
-    values[count++] = root ? sqrt(value) : value;
+  for (size_t i = 0; i < layout.parts[command->number].count; i++) {
+    for (const char *name = command->parameters; *name != '\0';
+         name += bytes + strspn(name + bytes, ", ")) {
+      char text[HEADER_BYTES];
+      const bool root = strncmp(name, "sd_", 3) == 0;
+      bytes = strcspn(name, ",");
+      snprintf(text, sizeof text, "%s%.*s", root ? "variance_" : "", (int)bytes - 3 * root,
+               name + 3 * root);
+      const schema_field *field = field_named(command->structure, text, strlen(text), &at);
+      const double value = number_at(field, reply + i * command->structure->bytes + at);
+      values[count++] = root ? sqrt(value) : value;
+    }
   }
   return answer_values(s, values, count, false);
+}
+
+COMMAND(tell_array) {
+  schema_layout layout;
+  const uint8_t *reply = reply_of(s, command, &layout);
+  (void)unit;
+  return reply == NULL ? FAILED
+                       : answer_values(s, reply + layout.parts[command->number].at,
+                                       layout.parts[command->number].count, false);
 }
 
 /* ---- evals and media of tissues --------------------------------------------------------------- */
@@ -743,7 +799,7 @@ COMMAND(tell_fields) {
 COMMAND(ask_quantity) {
   const bool given = command->parameters[0] != '\0';
   const unsigned quantity = (unsigned)command->number;
-  const bool albedo = quantity == CORE_QUANTITY_ALBEDO;
+  const bool total = (quantity & (CORE_QUANTITY_ALBEDO | CORE_QUANTITY_BALANCE)) != 0;
   core_parameters parameters = s->settings.parameters;
   wire_parameter list[CORE_PARAMETERS_END];
   wire_eval_request start = s->settings.eval;
@@ -751,7 +807,7 @@ COMMAND(ask_quantity) {
     return FAILED;
   }
   const enum scpi_list places = given ? SCPI_GIVEN : SCPI_RADII;
-  if (!given && !albedo && length_of(s, places) == 0) {
+  if (!given && !total && length_of(s, places) == 0) {
     return answer_values(s, NULL, 0, false);
   }
   if ((quantity & CORE_MODULATED) == 0) {
@@ -760,7 +816,7 @@ COMMAND(ask_quantity) {
   start.wanted = quantity | CORE_QUANTITY_MODEL_ERROR;
   start.layer_count = s->settings.layer_count;
   start.parameter_count = list_given(parameters.value, CORE_PARAMETERS_END, list);
-  start.radius_count = albedo ? 0 : length_of(s, places);
+  start.radius_count = total ? 0 : length_of(s, places);
   s->waits_for = command;
   return has_medium(s) && start_task(s, SCPI_EVAL, WIRE_TYPE_EVAL, &start, list, &s->lists[places])
              ? WAITS
@@ -779,6 +835,8 @@ static void answer_eval(struct scpi_session *s, const struct scpi_command *comma
                           &s->errors);
   if (quantity == CORE_QUANTITY_ALBEDO) {
     answer_values(s, bytes + eval_albedo_offset(0), 1, false);
+  } else if (quantity == CORE_QUANTITY_BALANCE) {
+    answer_values(s, bytes + layout.balances_offset, WIRE_BYTES_balance / sizeof(double), false);
   } else {
     answer_values(s, bytes + eval_array_offset(&layout, fixed.wanted, 0, quantity), fixed.count,
                   core_evaluator_bytes(fixed.evaluator) == sizeof(float));
@@ -833,7 +891,13 @@ static bool is_free(struct scpi_session *s, const struct scpi_command *command,
                     enum scpi_task_index index) {
   return is_under_way(&s->tasks[index])
              ? fail_with(s, SCPI_CONFLICT, command->pattern, "when the one that runs has ended")
-             : has_medium(s);
+             : true;
+}
+
+/* Returns whether there are as many READings and ERRors. */
+static bool has_readings(struct scpi_session *s, size_t count, const char *needed) {
+  return (length_of(s, SCPI_READINGS) == count && length_of(s, SCPI_DEVIATIONS) == count) ||
+         fail_with(s, SCPI_UNEQUAL_LISTS, "FIT", needed);
 }
 
 COMMAND(start_fit) {
@@ -841,14 +905,12 @@ COMMAND(start_fit) {
   const wire_medium *medium = &s->settings.layers[0];
   fit_start start = s->settings.fit;
   (void)unit;
-  if (!is_free(s, command, SCPI_FIT)) {
+  if (!is_free(s, command, SCPI_FIT) || !has_medium(s) ||
+      !has_readings(s, count, "as many PLACes, READings and ERRors")) {
     return FAILED;
   }
   if (s->settings.layer_count > 1) {
     return fail_with(s, SCPI_CONFLICT, "MEDium", "one layer: its g, eta and thickness");
-  }
-  if (length_of(s, SCPI_READINGS) != count || length_of(s, SCPI_DEVIATIONS) != count) {
-    return fail_with(s, SCPI_UNEQUAL_LISTS, "FIT", "as many PLACes, READings and ERRors");
   }
   start.design.reading_count = (uint32_t)count;
   start.design.g = medium->g;
@@ -857,15 +919,47 @@ COMMAND(start_fit) {
   return start_task(s, SCPI_FIT, WIRE_TYPE_FIT, &start, NULL, NULL) ? note_jobs(s) : FAILED;
 }
 
+COMMAND(start_spectrum) {
+  const size_t places = length_of(s, SCPI_PLACES), wavelengths = length_of(s, SCPI_WAVELENGTHS);
+  const size_t mhz = length_of(s, SCPI_MHZ), quantities = length_of(s, SCPI_QUANTITIES);
+  wire_parameter list[CORE_PROPERTIES_END];
+  wire_fit_tissue_request start = {.set_count = 1,
+                                   .model = s->settings.fit.design.model,
+                                   .axis = s->settings.fit.design.axis,
+                                   .scale = s->settings.fit.design.scale,
+                                   .tissue = s->settings.tissue.tissue,
+                                   .haemoglobin = s->settings.tissue.haemoglobin,
+                                   .wavelength_count = (uint32_t)wavelengths,
+                                   .place_count = (uint32_t)places};
+  (void)unit;
+  if (!is_free(s, command, SCPI_SPECTRUM) ||
+      !has_readings(s, places * wavelengths, "READings and ERRors: WAVelengths times PLACes")) {
+    return FAILED;
+  }
+  if ((mhz > 0 && mhz != places) || (quantities > 0 && quantities != places)) {
+    return fail_with(s, SCPI_UNEQUAL_LISTS, command->pattern, "MHZ and QUANtities as PLACes");
+  }
+  text_reset(&s->lists[SCPI_GIVEN]);
+  for (unsigned id = 0; id < CORE_PROPERTIES_END; id++) {
+    if (s->settings.sought[id].property != 0) {
+      text_add(&s->lists[SCPI_GIVEN], &s->settings.sought[id], sizeof(wire_sought));
+      start.sought_count++;
+    }
+  }
+  start.property_count = list_given(s->settings.properties, CORE_PROPERTIES_END, list);
+  return start_task(s, SCPI_SPECTRUM, WIRE_TYPE_FIT_TISSUE, &start, list, NULL) ? note_jobs(s)
+                                                                                : FAILED;
+}
+
 /* Sets the bits of STATus:QUEStionable that a fit which has ended has. */
-static void note_fit(struct scpi_session *s) {
+static void note_fit(struct scpi_session *s, enum scpi_task_index index) {
   static const uint8_t bits[] = {
       [CORE_FIT_STATUS_AT_BOUND] = 9,     [CORE_FIT_STATUS_UNDETERMINED] = 10,
       [CORE_FIT_STATUS_UNFINISHED] = 10,  [CORE_FIT_STATUS_REFUSED] = 10,
       [CORE_FIT_STATUS_IMPLAUSIBLE] = 11, [CORE_FIT_STATUS_AMBIGUOUS] = 12};
-  wire_fitted fitted;
-  wire_get_fitted((const uint8_t *)s->tasks[SCPI_FIT].reply.bytes + WIRE_BYTES_fit_reply, &fitted);
-  const unsigned bit = fitted.status < sizeof bits ? bits[fitted.status] : 0;
+  uint16_t status; /* the first field of what was found */
+  memcpy(&status, s->tasks[index].reply.bytes + replies[index]->fixed_bytes, sizeof status);
+  const unsigned bit = status < sizeof bits ? bits[status] : 0;
   scpi_status_set(&s->status.questionable, (uint16_t)(bit > 0 ? 1U << bit : 0));
 }
 
@@ -873,7 +967,8 @@ COMMAND(start_mc) {
   wire_mc_request start = s->settings.mc;
   (void)unit;
   start.layer_count = s->settings.layer_count;
-  return is_free(s, command, SCPI_MC) && start_task(s, SCPI_MC, WIRE_TYPE_MC, &start, NULL, NULL)
+  return is_free(s, command, SCPI_MC) && has_medium(s) &&
+                 start_task(s, SCPI_MC, WIRE_TYPE_MC, &start, NULL, NULL)
              ? note_jobs(s)
              : FAILED;
 }
@@ -891,15 +986,6 @@ COMMAND(tell_progress) {
   const double values[] = {(double)reply.photons, (double)reply.photons_expected, reply.error_total,
                            reply.state};
   return answer_decimals(s, values, 4, false);
-}
-
-COMMAND(tell_edges) {
-  schema_layout layout;
-  const uint8_t *reply = reply_of(s, command, &layout);
-  (void)unit;
-  return reply == NULL ? FAILED
-                       : answer_values(s, reply + layout.parts[MC_EDGES].at,
-                                       layout.parts[MC_EDGES].count, false);
 }
 
 /* Answers with the values of a side, or their standard errors. */
@@ -977,6 +1063,8 @@ static const struct scpi_command commands[] = {
   {pattern, QUERY, ask_quantity, CORE_QUANTITY_##QUANTITY, 0, NULL, parameters},
 #define SCPI_REPLY(pattern, TASK, part, structure, fields)                                         \
   {pattern, QUERY, tell_fields, part, SCPI_##TASK, FIELDS_OF(structure), fields},
+#define SCPI_ARRAY(pattern, TASK, part, about)                                                     \
+  {pattern, QUERY, tell_array, part, SCPI_##TASK, NULL, ""},
 #include "proto/scpi.def"
 };
 
@@ -1071,7 +1159,8 @@ void scpi_session_free(struct scpi_session *s) {
 }
 
 bool scpi_session_measures(const struct scpi_session *s) {
-  return is_under_way(&s->tasks[SCPI_FIT]) || is_under_way(&s->tasks[SCPI_MC]);
+  return is_under_way(&s->tasks[SCPI_FIT]) || is_under_way(&s->tasks[SCPI_SPECTRUM]) ||
+         is_under_way(&s->tasks[SCPI_MC]);
 }
 
 static enum outcome carry_out(struct scpi_session *s, struct scpi_unit *unit) {
@@ -1141,8 +1230,8 @@ bool scpi_session_finish(struct scpi_session *s) {
       take_tissue(s);
     } else if (i == SCPI_EVAL) {
       answer_eval(s, s->waits_for);
-    } else if (i == SCPI_FIT) {
-      note_fit(s);
+    } else if (i != SCPI_MC) {
+      note_fit(s, i);
     }
     if (i == SCPI_EVAL) {
       good = !refused;

@@ -26,10 +26,20 @@ struct scpi_task {
   wire_error error; /* why it has failed, or OK; set when it ends */
 };
 
-enum scpi_task_index { SCPI_EVAL, SCPI_FIT, SCPI_MC, SCPI_TASKS };
+enum scpi_task_index { SCPI_EVAL, SCPI_FIT, SCPI_SPECTRUM, SCPI_MC, SCPI_TASKS };
 
 /* Lists of numbers that the client has sent. GIVEN: with the unit that is being carried out. */
-enum scpi_list { SCPI_GIVEN, SCPI_RADII, SCPI_PLACES, SCPI_READINGS, SCPI_DEVIATIONS, SCPI_LISTS };
+enum scpi_list {
+  SCPI_GIVEN,
+  SCPI_RADII,
+  SCPI_PLACES,
+  SCPI_READINGS,
+  SCPI_DEVIATIONS,
+  SCPI_WAVELENGTHS,
+  SCPI_MHZ,
+  SCPI_QUANTITIES,
+  SCPI_LISTS
+};
 
 /* What *RST sets to the defaults. */
 enum { SCPI_NORMAL, SCPI_SWAPPED };
@@ -43,9 +53,10 @@ struct scpi_settings {
   uint32_t channel;                  /* from 1 on */
   wire_medium reference;
   core_parameters parameters;
-  wire_tissue_request tissue;             /* without its counts */
-  double properties[CORE_PROPERTIES_END]; /* NaN: as the tissue has it */
-  double wavelength_nm;                   /* that the medium was made for */
+  wire_tissue_request tissue;              /* without its counts */
+  double properties[CORE_PROPERTIES_END];  /* NaN: as the tissue has it */
+  double wavelength_nm;                    /* that the medium was made for */
+  wire_sought sought[CORE_PROPERTIES_END]; /* of a spectrum, by their ids; id 0: it is not sought */
   enum scpi_format { SCPI_ASCII, SCPI_REAL_32, SCPI_REAL_64 } format;
   uint32_t order; /* of bytes in blocks: SCPI_NORMAL is big-endian */
 };

@@ -100,7 +100,10 @@ GIVEN = {
     "MEDium:TABLe": "ucl", "MEDium:WAVelength": "650", "MC:PHOTons": "8192", "MC:RINGs": "0,5,2",
     "MC:SPACing": "linear", "MC:SEED": "7", "MC:TARGet": "0.5", "R:DATA": "0.5,1", "R": "0.5,1",
     "R:FREQuency": "0,0.1", "T": "0.5,1", "PATH": "2,20",
-    "PATH:DPF": "20", "PATH:TIME": "20", "PHASe:FREQuency": "100", "PHASe": "20", "PHASe:MODulation": "20", "FORMat[:DATA]": "ASC", "FORMat:BORDer": "SWAP",
+    "PATH:DPF": "20", "PATH:TIME": "20", "PHASe:FREQuency": "100", "PHASe": "20", "PHASe:MODulation": "20",
+    "PHASe:STRipes": "0.1", "PHASe:MODulation:STRipes": "0.1", "FIT:SPECtrum:WAVelengths": "760",
+    "FIT:SPECtrum:UNKNown": "HBO2_UM,HB_UM", "FIT:SPECtrum:LIMit": "HB,0,500", "FIT:SPECtrum:MHZ": "0,0,0",
+    "FIT:SPECtrum:QUANtities": "0,0,0", "FORMat[:DATA]": "ASC", "FORMat:BORDer": "SWAP",
 }  # fmt: skip
 
 
@@ -123,7 +126,7 @@ def test_every_command_of_the_page(visa):
         given = given.split(",")[0] if (short, mark) == ("MED:PROP", "?") else given
         if mark != "?":
             visa.write(f"{short} {given}")
-        if short in ("FIT", "MC:STAR"):
+        if short in ("FIT", "FIT:SPEC", "MC:STAR"):
             assert visa.query("*OPC?") == "1"
         if mark == " (?)":
             assert alike(visa.query(f"{short}?"), given), name
@@ -195,7 +198,7 @@ def test_errors_of_values_are_known(shared, raw):
     assert raw.numbers("R:ERR?")[2] == known.model_error[0]
 
 
-def test_path_lengths_and_modulated_light(raw):
+def test_path_lengths_and_modulated_light(shared, raw):
     """By a random walk, of rings from 19 to 21 mm, and by diffusion with its ratio to transport."""
     raw.send("MED 0.01,1,0,1.4;:EVAL F64;:PHAS:FREQ 100")
     path, dpf, time_ps = map(float, raw.ask("PATH? 20;:PATH:DPF? 20;TIME? 20").split(";"))
@@ -204,6 +207,13 @@ def test_path_lengths_and_modulated_light(raw):
     assert raw.numbers("PHAS? 20")[0] == pytest.approx(23.18, abs=0.1)
     assert raw.numbers("PHAS:MOD? 20")[0] == pytest.approx(0.9779, abs=0.0005)
     assert all(one < 0.1 for one in raw.numbers("R:ERR?")) and raw.numbers("R? 20")[0] > 0
+    with shared.client() as client:
+        known = client.eval("transport", Medium(0.01, 1, 0, 1.4), [0.02, 0.1], evaluator="f64",
+                            wanted=["phase_f", "modulation_f", "balance"], parameters={"mhz": 100})  # fmt: skip
+    assert raw.numbers("PHAS:STR? 0.02,0.1") == known.phase_f[0].tolist()
+    assert raw.numbers("PHAS:MOD:STR? 0.02,0.1") == known.modulation_f[0].tolist()
+    balance = raw.numbers("BAL?")
+    assert sum(balance) == pytest.approx(1, abs=1e-3) and balance[0] == float(raw.ask("ALB?"))
 
 
 def test_layers_slabs_and_frequencies(shared, raw):
@@ -263,6 +273,40 @@ def test_a_fit(shared, raw):
     assert raw.numbers("FIT:COV?")[0] == pytest.approx(known.sigma_a_error**2)
     raw.send("FIT:ERR 1E-9,1E-9,1E-9,1E-9,1E-9;READ 0.04,0.02,0.006,0.001,0.00004;:FIT")
     assert raw.ask("*OPC?;:STAT:QUES:COND?") == "1;2048"  # implausible
+
+
+def test_a_spectrum(shared, raw):
+    """Readings of a known tissue give it back, with the bits that Python gets; without and with phases."""
+    nm, at = [690.0, 760.0, 800.0, 850.0, 930.0, 970.0], [2.0, 4.0, 7.0, 12.0]
+    truth = {"hbo2_uM": 56, "hb_uM": 24, "water_fraction": 0.6, "a_per_mm": 1.9, "b": 1.2}
+    fat, listed = {"fat_fraction": 0.25}, lambda values: ",".join(map(repr, np.ravel(values).tolist()))
+    raw.send("MED:PROP fat,0.25;:FIT:SPEC:UNKN HBO2,HB,WAT,A,B;LIM HB,0,200;WAV " + listed(nm))
+    assert raw.ask("FIT:SPEC:UNKN?") == ",".join(truth)
+    with shared.client() as client:
+        media = client.tissue(nm, properties=truth | fat)
+        made = client.eval("transport", media, at, wanted=["R", "phase", "modulation"], parameters={"mhz": 80}, evaluator="f64")
+        sought = {**dict.fromkeys(truth), "hb_uM": (0, 200)}
+        for more in ({}, {"mhz": [0, 80, 80, 80], "quantity": [0, 0, 0, 262144]}):
+            values = made.R.copy()
+            if more:
+                values[:, 1:3] *= made.modulation[:, 1:3]
+                values[:, 3] = made.phase[:, 3]
+                raw.send(f"FIT:SPEC:MHZ {listed(more['mhz'])};QUAN {listed(more['quantity'])}")
+                more["quantity"] = ["R", "R", "R", "phase"]
+            known = client.fit_tissue(sought, nm, at, values, 0.01 * values, properties=fat, **more)
+            raw.send(f"FIT:PLAC {listed(at)};READ {listed(values)};ERR {listed(0.01 * values)}")
+            told = np.reshape(raw.numbers("FIT:SPEC;*WAI;EST?"), (len(truth), 4))
+            for row, (name, one) in zip(told, known.estimates.items()):
+                assert row.tolist() == [one["value"], one["error"], 1, one["numerical"]]
+                assert row[0] == pytest.approx(truth[name], rel=0.01)
+            names = ["saturation", "saturation_error", "total", "total_error", "chi_squared"]
+            assert raw.numbers("FIT:SPEC:RES?")[:6] == [*(known.sets[name] for name in names), 1]
+            assert raw.numbers("FIT:SPEC:COV?") == known.covariance.ravel().tolist()
+    assert raw.error("FIT:SPEC:WAV 690;:FIT:SPEC").startswith('-226,"Lists not same length;FIT: ')
+    assert raw.error("FIT:SPEC:LIM FAT,0,1").startswith('-221,"Settings conflict;FIT:SPECtrum:LIMit: ')
+    assert raw.error("FIT:SPEC:UNKN CCO").startswith('-224,"Illegal parameter value;property: ')  # of two
+    raw.send("FIT:SPEC:WAV 690,760,800,850,930,970;UNKN A,G;:FIT:SPEC;*WAI")
+    assert raw.ask("SYST:ERR?").startswith('-222,"Data out of range;property: an amount, a_per_mm or b')
 
 
 def test_waiting_for_monte_carlo(shared, raw):
