@@ -22,6 +22,7 @@ WORDS = {
     "server/DEPLOYING.md": 1500,
     "core/MODELS.md": 1500,
     "core/ACCURACY.md": 1500,
+    "core/LIMITS.md": 300,
     "core/COLOURS.md": 900,
     "core/TISSUE.md": 1300,
 }

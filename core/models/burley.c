@@ -124,6 +124,7 @@ static inline void lane_fill(const double *shared, struct lane lane, double *c) 
  * itself does, although the exponential in the numerator may underflow earlier. */
 #define UP_EXPONENT 64
 #define UP 0x1p64
+#define LEAST (-1306.0) /* e^LEAST 2^UP_EXPONENT underflows to 0 */
 
 /* Both exponentials are powers of q = e^(-x / 3), where x = r / d: e^(-x) + e^(-x/3) = q (1 + q^2).
  * This function returns x, at most FAR. */
@@ -131,14 +132,15 @@ static inline double burley_x(const double *c, double r) {
   return real_min(r * c[PER_D], FAR);
 }
 
-static inline double exponentials(double scale, double x, double exponent) {
-  const double third = x * (1.0 / 3);
-  const double q = real_exp(-third).exp;
-  return real_times_exp(scale * real_fma(q, q, 1), -third, exponent);
-}
-
 static inline double burley_R(const double *c, double r) {
-  const double R = exponentials(c[R_SCALE], burley_x(c, r), UP_EXPONENT) / (r * UP);
+  const double third = burley_x(c, r) * (1.0 / 3);
+  /* `up` is 2^(800 + UP_EXPONENT) times the power of two in q, so that it is a normal number */
+  const real_exp_parts parts = real_exp_split(real_nearer_zero(-third, LEAST));
+  const double biased = parts.shifted + (800 + UP_EXPONENT + REAL_EXPONENT_BIAS);
+  const double up = real_from_bits(real_to_bits(biased) << REAL_MANTISSA_BITS);
+  const double q = real_fma(up, parts.m, up) * (0x1p-800 / UP);
+  const double scale = c[R_SCALE] * real_fma(q, q, 1);
+  const double R = real_fma(scale, parts.m, scale) * up * 0x1p-800 / (r * UP);
   return c[ALBEDO] > 0 ? R : 0;
 }
 

@@ -10,7 +10,7 @@ $(BUILD)/transport-table: $(call tool,transport_table) $(ISOTROPIC)
 $(BUILD)/apertures: $(call tool,apertures)
 PROGRAMS += $(addprefix $(BUILD)/,transport-table apertures)
 
-.PHONY: tables reference tradeoff apertures figures picture gather-figure colour-errors colour-furnace
+.PHONY: tables reference tradeoff apertures figures picture gather-figure colour-errors colour-furnace limit
 
 # On a machine that does little else: it times what is chosen by cost.
 tradeoff: ## speed against accuracy, in build/tradeoff, and core/costs.def (minutes)
@@ -21,6 +21,12 @@ tradeoff: ## speed against accuracy, in build/tradeoff, and core/costs.def (minu
 	DIPOLED=private:$(BUILD)/dipoled $(PYTHON) core/tools/tradeoff.py $(BUILD)/tradeoff/bench.tsv $(BUILD)/tradeoff
 	cp $(BUILD)/tradeoff/costs.def core/
 	cp $(BUILD)/tradeoff/front.svg core/tools/
+
+limit: ## kernels beside their least cycles by llvm-mca: core/LIMITS.md
+	@sh .ci/install-packages bench
+	@$(MAKE) --no-print-directory -j2 $(BUILD)/bench
+	$(BUILD)/bench limit > $(BUILD)/limit.tsv
+	$(PYTHON) core/tools/limit.py $(BUILD)/limit.tsv core/LIMITS.md
 
 tables: $(BUILD)/transport-table ## core/transport/transport.table, solved anew (2 hours)
 	$(BUILD)/transport-table $(BUILD)/tables core/transport/transport.table
