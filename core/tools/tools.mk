@@ -5,6 +5,7 @@
 TOOLS := $(call objects,core/tools/tools.c clients/cli/progress.c)
 # An independent check of the solver and of the table, whose part for g = 0 comes from it.
 ISOTROPIC := $(call objects,$(wildcard tests/accuracy/isotropic/*.c))
+$(ISOTROPIC): override CFLAGS := $(CFLAGS) -O3
 tool = $(call objects,$(wildcard core/tools/$(1)/*.c)) $(TOOLS) $(BUILD)/libcore.a
 $(BUILD)/transport-table: $(call tool,transport_table) $(ISOTROPIC)
 $(BUILD)/apertures: $(call tool,apertures)

@@ -30,20 +30,16 @@ UNIT_TEST(transport_without_absorption_is_the_solution) {
     const double sigma_t = media[i].sigma_a_per_mm + media[i].sigma_s_per_mm;
     const double albedo = fmin(media[i].sigma_s_per_mm / sigma_t, 1 - 0x1p-53);
     core_profile profile = prepared(CORE_MODEL_TRANSPORT, media[i], (double)NAN);
-    isotropic_boundary *boundary;
-    isotropic_solution *solution;
-    unit_assert_fault(isotropic_boundary_create(&boundary, media[i].eta, 1e-8), NULL, 0);
-    unit_assert_fault(isotropic_solve(&solution, boundary, albedo), NULL, 0);
+    isotropic_solution *solution = isotropic_solve(media[i].eta, albedo, 1e-8, ISOTROPIC_REACH);
     assert_true(profile.numerical_error < 1e-5);
     const double most = fmin(30 / transport_kappa(albedo), 1e4);
     for (double x = 1e-6; x < most; x *= 1.3) {
-      const double truth = sigma_t * sigma_t * isotropic_at(solution, x).R.value;
+      const double truth = sigma_t * sigma_t * isotropic_at(solution, x).R;
       const double value = unit_value_at(&profile, CORE_QUANTITY_R, x / sigma_t);
       assert_near(value, truth, profile.numerical_error, "transport", x);
       worst = fmax(worst, fabs(value / truth - 1) / profile.numerical_error);
     }
-    isotropic_solution_free(solution);
-    isotropic_boundary_free(boundary);
+    isotropic_free(solution);
     core_profile_free(&profile);
   }
   printf("white media are off by at most %.2g of what is stated\n", worst);
@@ -138,18 +134,14 @@ UNIT_TEST(a_table_of_transport_far_away_with_eta_1) {
   core_parameters parameters = core_parameters_none();
   parameters.value[CORE_PARAMETER_TOLERANCE] = 1e-5;
   core_profile table;
-  isotropic_boundary *boundary;
-  isotropic_solution *solution;
-  unit_assert_fault(isotropic_boundary_create(&boundary, medium.eta, 1e-8), NULL, 0);
-  unit_assert_fault(isotropic_solve(&solution, boundary, 0.1), NULL, 0);
+  isotropic_solution *solution = isotropic_solve(medium.eta, 0.1, 1e-8, ISOTROPIC_REACH);
   table = unit_profile(CORE_MODEL_TRANSPORT, CORE_EVALUATOR_LUT, &medium, &parameters);
   for (float r = 20; r < 29.8f; r *= 1.01f) {
     float R;
     core_eval_f32(&table, CORE_QUANTITY_R, 1, &r, &R);
-    assert_near((double)R, isotropic_at(solution, (double)r).R.value, table.numerical_error,
+    assert_near((double)R, isotropic_at(solution, (double)r).R, table.numerical_error,
                 "R of a table", (double)r);
   }
-  isotropic_solution_free(solution);
-  isotropic_boundary_free(boundary);
+  isotropic_free(solution);
   core_profile_free(&table);
 }

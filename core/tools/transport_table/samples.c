@@ -44,18 +44,15 @@ void sample_free(table_sample *sample) {
 }
 
 static void solve_isotropic(table_sample *sample) {
-  isotropic_boundary *boundary;
-  tools_check(isotropic_boundary_create(&boundary, sample->eta[0], TOLERANCE), "transport");
   for (size_t i = 0; i < sample->media; i++) {
-    isotropic_solution *solution;
-    tools_check(isotropic_solve(&solution, boundary, sample->albedo[i]), "transport");
-    sample->total[i] = isotropic_total(solution).value;
+    isotropic_solution *solution =
+        isotropic_solve(sample->eta[0], sample->albedo[i], TOLERANCE, ISOTROPIC_REACH);
+    sample->total[i] = isotropic_total(solution);
     for (size_t j = i * sample->radii; j < (i + 1) * sample->radii; j++) {
-      sample->R[j] = isotropic_at(solution, sample->x[j]).R.value;
+      sample->R[j] = isotropic_at(solution, sample->x[j]).R;
     }
-    isotropic_solution_free(solution);
+    isotropic_free(solution);
   }
-  isotropic_boundary_free(boundary);
 }
 
 /* Sets the exitances, see solver_solve_level(), or makes R from them if they are known. */

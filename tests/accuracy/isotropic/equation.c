@@ -1,8 +1,9 @@
-/* The source function S(z) of a beam e^(-z) solves, with the measures of nodes.h,
+/* The source function S(z) of a beam e^(-z) solves, with the measures of nodes.c,
  *
  *   S(z) = a e^(-z) + a int_0^inf [K(|z - z'|) + (K - K_T)(z + z')] S(z') dz'.
  *
- * The H function inverts the part with the first kernel. The Laplace transform of S is then
+ * Without the second kernel a source e^(-pz) gives int_0^inf e^(-qz) S(z) dz = H(p) H(q) / (p + q)
+ * (Chandrasekhar 1950 for k = 0; Rybicki 1971 for searchlights). So the Laplace transform of S is
  * int_0^inf e^(-qz) S dz = H(q) V(q), where V is smooth because H contains the diffusion mode:
  *
  *   V(q) = a H(1) / (1 + q) + a sum over nodes p of kernel H(p)^2 V(p) / (p + q).
@@ -25,330 +26,259 @@
  * / (1 + p). The code leaves this part out of each term, because for large k it is by far the
  * larger part.
  */
-#include "tests/accuracy/isotropic/equation.h"
-
+#include <assert.h>
 #include <math.h>
 #include <stdlib.h>
-#include <string.h>
 
 #include "core/transport/functions.h"
-#include "tests/accuracy/isotropic/h_function.h"
+#include "tests/accuracy/isotropic/parts.h"
+
+/* ---- the H function -------------------------------------------------------------------------- */
+
+/* With Q^2 = k^2 + w^2 and the dispersion function L(w) = ln(1 - a atan(Q) / Q),
+ *
+ *   ln H(p) = -(1 / pi) int_0^inf p L(w) / (p^2 + w^2) dw.
+ *
+ * L is even, so the integral is half of that over the whole line w = sigma sinh(y). The trapezoidal
+ * rule with step h over y is exact up to e^(-2 pi d / h), where d is the distance from the real
+ * axis to the next singularity in y. The singularities are the zero of the logarithm's argument at
+ * w = +-i p0 with p0 = sqrt(k^2 + kappa^2), the branch points of atan at w = +-i sqrt(1 + k^2), and
+ * the poles w = +-i p. sigma has the modulus of p0, and its direction lies half way between those
+ * of the first two singularities; this keeps both at d > 1. The poles may come arbitrarily near,
+ * because their contribution is known. By the theorem of residues (Trefethen and Weideman 2014 for
+ * trapezoidal rules),
+ *
+ *   ln H(p) = -(h / 2 pi) sum over all j of p L(w_j) w'_j / (p^2 + w_j^2)
+ *             + L(i p) / (e^(-2 pi i y* / h) - 1),     sinh(y*) = i p / sigma.
+ */
+
+/* least distance d from the line to a singularity other than the poles */
+#define STRIP 1.05
+#define BEYOND_LARGEST 100.0 /* the line ends at this multiple of the largest decay rate */
+#define POLES_UP_TO 1.3      /* poles at a larger distance from the line are negligible */
+enum { STEPS_MAX = 1024 };   /* the line needs at most about ln(1e12) / 0.2 steps */
+
+/* The rule for ln H at one albedo and wavenumber. */
+struct line {
+  double albedo, cut, h; /* cut: argument of sigma */
+  double complex k, sigma;
+  size_t n;
+  /* The terms of the sum for ln H(p), for j >= 0: w_j^2, and -(h / pi) L(w_j) w'_j, which counts the
+   * terms of j and -j; half of that for j = 0. */
+  double complex square[STEPS_MAX], weight[STEPS_MAX];
+};
+
+/* Returns ln(1 - a atan(Q) / Q) from Q^2. The principal branch of atan has its cut along Q^2 < -1.
+ * This function turns the cut by 2 cut > 0 about Q^2 = -1, as far as make_line() turns the line w:
+ * between the old cut and the new one it uses another branch of atan. Near Q = 0, where a may be 1,
+ * it uses a series for 1 - atan(Q) / Q. */
+static double complex dispersion(double albedo, double complex q2, double cut) {
+  if (fabs(creal(q2)) + fabs(cimag(q2)) < 0.06) {
+    double complex series = 0;
+    for (int j = 13; j >= 1; j--) {
+      series = q2 * ((j % 2 ? 1.0 : -1.0) / (2 * j + 1) + series);
+    }
+    return fn_clog((1 - albedo) + albedo * series);
+  }
+  const double complex q = fn_csqrt(q2);
+  const double complex iq = CMPLX(-cimag(q), creal(q));
+  double complex angle = CMPLX(0, -0.5) * (fn_clog(1 + iq) - fn_clog(1 - iq));
+  if (cut > 0 && cimag(q2) < 0 && cimag(fn_clog(q2 + 1)) < 2 * cut - FN_PI) {
+    angle -= FN_PI;
+  }
+  return fn_clog(1 - albedo * angle * fn_inverse(q));
+}
+
+/* p_max: the largest modulus of a decay rate of which log_h() is asked. */
+static void make_line(struct line *to, double albedo, double kappa, double complex k, double p_max,
+                      double accuracy) {
+  const double complex log_p0 = 0.5 * fn_clog(k * k + kappa * kappa);
+  const double scale = fn_exp(creal(log_p0));
+  to->albedo = albedo;
+  to->k = k;
+  to->cut = 0.5 * (cimag(log_p0) + 0.5 * cimag(fn_clog(1 + k * k)));
+  to->sigma = scale * fn_cexp(CMPLX(0, to->cut));
+  to->h = 2 * FN_PI * STRIP / (2 - fn_log(accuracy));
+  const double steps = 1 + fn_log(2 * BEYOND_LARGEST * p_max / scale) / to->h;
+  to->n = steps < STEPS_MAX ? (size_t)steps : STEPS_MAX;
+  for (size_t j = 0; j < to->n; j++) {
+    const double e = fn_exp((double)j * to->h);
+    const double complex w = to->sigma * (0.5 * (e - 1 / e));
+    const double complex slope = to->sigma * (0.5 * (e + 1 / e));
+    const double complex l = dispersion(albedo, k * k + w * w, 0);
+    to->square[j] = w * w;
+    to->weight[j] = (j == 0 ? -0.5 : -1.0) * to->h / FN_PI * l * slope;
+  }
+}
+
+/* Returns the contribution of the pole, L(i p) / (e^(-2 pi i y* / h) - 1) with -i y* = asin(zeta)
+ * and zeta = p / sigma. Of the two forms of asin, -+i ln(+-i zeta + sqrt(1 - zeta^2)), the code
+ * uses the one whose sum does not cancel. */
+static double complex pole(const struct line *of, double complex p) {
+  const double complex zeta = p * fn_inverse(of->sigma);
+  const double sign = cimag(zeta) > 0 ? -1 : 1;
+  const double complex root = fn_csqrt(1 - zeta) * fn_csqrt(1 + zeta);
+  const double complex asin_zeta = CMPLX(0, -sign) * fn_clog(CMPLX(0, sign) * zeta + root);
+  if (creal(asin_zeta) > POLES_UP_TO) {
+    return 0;
+  }
+  const double complex exponent = 2 * FN_PI / of->h * asin_zeta;
+  return dispersion(of->albedo, of->k * of->k - p * p, of->cut) * fn_inverse(fn_cexpm1(exponent));
+}
+
+static double complex log_h(const struct line *of, double complex p) {
+  const double complex square = p * p;
+  double complex sum = 0;
+  for (size_t j = 0; j < of->n; j++) {
+    sum += of->weight[j] * fn_inverse(square + of->square[j]);
+  }
+  return p * sum + pole(of, p);
+}
+
+/* ---- the unknowns ---------------------------------------------------------------------------- */
+
+enum { RANK_MAX = 160 };
 
 /* Pivots are added until the rest of the kernel, weighed as in choose_pivots(), is at most this
  * times the accuracy. Comparisons with the full system show that the exitance is then off by less
  * than the accuracy. */
 #define LEFT_OVER_PER_ACCURACY 30.0
 
-/* ---- what does not depend on the albedo ----------------------------------------------------- */
+/* The functions phi_1, phi_2, ..., phi_n, and what they make of the equation. */
+struct unknowns {
+  size_t n;
+  double complex q[RANK_MAX], root[RANK_MAX];            /* pivots, and sqrt(2 q) */
+  double re[RANK_MAX][RANK_MAX], im[RANK_MAX][RANK_MAX]; /* B_lm for m <= l */
+  double complex row[RANK_MAX][RANK_MAX];                /* 1 - a B */
+  double complex Y[RANK_MAX];                            /* b, and then the solution */
+  double complex exit[RANK_MAX];                         /* sum of exit H phi_l */
+};
 
-/* Chooses the pivots: each is the node where the rest of the kernel, |kernel g^2 / p|, is largest.
- * Returns false if memory runs out. */
-static bool choose_pivots(equation *to) {
-  const nodes *at = &to->nodes;
-  double complex *g = malloc(at->n * (sizeof *g + sizeof(double)));
-  if (g == NULL) {
-    return false;
-  }
-  double *share = (double *)(g + at->n);
-  double all = 0;
+/* Chooses the pivots: each is the node where the rest of the kernel, |kernel g^2 / p|, is largest. */
+static void choose_pivots(struct unknowns *to, const nodes *at, double accuracy) {
+  double complex g[sizeof at->p / sizeof at->p[0]];
+  double share[sizeof at->p / sizeof at->p[0]], all = 0;
   for (size_t i = 0; i < at->n; i++) {
     g[i] = 1;
     share[i] = sqrt(fn_norm2(at->kernel[i]) / fn_norm2(at->p[i]));
     all += share[i];
   }
-  double left = all;
-  for (to->rank = 0; to->rank < EQUATION_RANK_MAX; to->rank++) {
-    double most = 0;
-    left = 0;
+  for (to->n = 0; to->n < RANK_MAX; to->n++) {
+    double most = 0, left = 0;
+    double complex q = 1;
     for (size_t i = 0; i < at->n; i++) {
       const double here = share[i] * fn_norm2(g[i]);
       left += here;
-      if (here > most) {
-        most = here;
-        to->pivot[to->rank] = (uint16_t)i;
-      }
+      q = here > most ? at->p[i] : q;
+      most = fmax(most, here);
     }
-    if (left <= LEFT_OVER_PER_ACCURACY * to->accuracy * all) {
+    if (left <= LEFT_OVER_PER_ACCURACY * accuracy * all) {
       break;
     }
-    const double complex q = at->p[to->pivot[to->rank]];
     for (size_t i = 0; i < at->n; i++) {
       g[i] *= (at->p[i] - q) * fn_inverse(at->p[i] + q);
     }
-  }
-  free(g);
-  return true;
-}
-
-bool isotropic_equation_make(equation *to, const nodes_rules *rules, double complex k) {
-  to->k = k;
-  to->accuracy = rules->accuracy;
-  if (!isotropic_nodes_make(&to->nodes, rules, k)) {
-    return false;
-  }
-  if (!choose_pivots(to)) {
-    isotropic_nodes_free(&to->nodes);
-    return false;
-  }
-  return true;
-}
-
-void isotropic_equation_free(equation *of) {
-  isotropic_nodes_free(&of->nodes);
-}
-
-/* ---- the unknowns' equation ----------------------------------------------------------------- */
-
-/* Loops handle GROUP numbers at a time, which compilers turn into vectors. Rows are filled with
- * zeros to a multiple of GROUP. */
-enum { GROUP = 4, RANK_PADDED = (EQUATION_RANK_MAX + GROUP - 1) / GROUP * GROUP };
-
-struct isotropic_work {
-  h_function *h;
-  size_t nodes_reserved;
-  size_t cells_reserved; /* number of nodes times number of functions phi */
-  double complex *log_h;
-  /* Arrays by node, with real and imaginary parts apart: phi contains phi_1, phi_2, ..., and
-   * weighted contains kernel H^2 phi_1, kernel H^2 phi_2, ... All four share the block that phi_re
-   * points to. */
-  double *phi_re, *phi_im, *weighted_re, *weighted_im;
-  double matrix_re[RANK_PADDED][RANK_PADDED];
-  double matrix_im[RANK_PADDED][RANK_PADDED];
-  double complex right[RANK_PADDED];
-  double complex exit[RANK_PADDED]; /* sum of exit H phi_l */
-};
-
-isotropic_work *isotropic_work_new(void) {
-  isotropic_work *work = calloc(1, sizeof *work);
-  if (work != NULL && (work->h = isotropic_h_new()) == NULL) {
-    free(work);
-    return NULL;
-  }
-  return work;
-}
-
-void isotropic_work_free(isotropic_work *of) {
-  if (of != NULL) {
-    isotropic_h_free(of->h);
-    free(of->log_h);
-    free(of->phi_re);
-    free(of);
+    to->q[to->n] = q;
+    to->root[to->n] = fn_csqrt(2 * q);
   }
 }
 
-static bool reserve(isotropic_work *work, size_t count, size_t padded) {
-  if (count > work->nodes_reserved) {
-    double complex *log_h = realloc(work->log_h, (count + 1) * sizeof *log_h);
-    if (log_h == NULL) {
-      return false;
-    }
-    work->log_h = log_h;
-    work->nodes_reserved = count;
-  }
-  const size_t cells = count * padded;
-  if (cells > work->cells_reserved) {
-    double *block = malloc(4 * cells * sizeof *block);
-    if (block == NULL) {
-      return false;
-    }
-    free(work->phi_re);
-    work->phi_re = block;
-    work->phi_im = block + cells;
-    work->weighted_re = block + 2 * cells;
-    work->weighted_im = block + 3 * cells;
-    work->cells_reserved = cells;
-  }
-  return true;
-}
-
-/* Fills a row for each node with phi_l, and another one with kernel H^2 phi_l. */
-static void fill_rows(const equation *of, isotropic_work *work, size_t padded) {
-  const nodes *at = &of->nodes;
-  double complex q[RANK_PADDED], root[RANK_PADDED];
-  for (size_t l = 0; l < of->rank; l++) {
-    q[l] = at->p[of->pivot[l]];
-    root[l] = fn_csqrt(2 * q[l]);
-  }
-  for (size_t i = 0; i < at->n; i++) {
-    const double complex weight = at->kernel[i] * fn_cexp(2 * work->log_h[i]);
-    double complex g = 1;
-    for (size_t l = 0; l < padded; l++) {
-      double complex phi = 0;
-      if (l < of->rank) {
-        const double complex quotient = g * fn_inverse(at->p[i] + q[l]);
-        phi = root[l] * quotient;
-        g = (at->p[i] - q[l]) * quotient;
-      }
-      const double complex weighted = weight * phi;
-      work->phi_re[i * padded + l] = creal(phi);
-      work->phi_im[i * padded + l] = cimag(phi);
-      work->weighted_re[i * padded + l] = creal(weighted);
-      work->weighted_im[i * padded + l] = cimag(weighted);
+/* Adds a node's terms. weight: kernel H^2; source: a H(1) / (1 + p); exit: exit H. */
+static void add_node(struct unknowns *to, double complex p, double complex weight,
+                     double complex source, double complex exit) {
+  double re[RANK_MAX], im[RANK_MAX];
+  double complex g = 1;
+  for (size_t l = 0; l < to->n; l++) {
+    const double complex quotient = g * fn_inverse(p + to->q[l]);
+    const double complex phi = to->root[l] * quotient, weighted = weight * phi;
+    g = (p - to->q[l]) * quotient;
+    re[l] = creal(phi);
+    im[l] = cimag(phi);
+    to->Y[l] += source * weighted;
+    to->exit[l] += exit * phi;
+    for (size_t m = 0; m <= l; m++) {
+      to->re[l][m] += creal(weighted) * re[m] - cimag(weighted) * im[m];
+      to->im[l][m] += creal(weighted) * im[m] + cimag(weighted) * re[m];
     }
   }
 }
 
-/* Computes rows l and l + 1 of the matrix 1 - a B, columns m to m + GROUP - 1, and their mirror
- * images. */
-static void fill_tile(isotropic_work *work, size_t n, size_t padded, double albedo, size_t l,
-                      size_t m) {
-  double re[2][GROUP] = {{0}}, im[2][GROUP] = {{0}};
-  for (size_t i = 0; i < n; i++) {
-    const double *phi_re = work->phi_re + i * padded + m;
-    const double *phi_im = work->phi_im + i * padded + m;
-    for (size_t row = 0; row < 2; row++) {
-      const double by_re = work->weighted_re[i * padded + l + row];
-      const double by_im = work->weighted_im[i * padded + l + row];
-      for (size_t c = 0; c < GROUP; c++) {
-        re[row][c] += by_re * phi_re[c] - by_im * phi_im[c];
-        im[row][c] += by_re * phi_im[c] + by_im * phi_re[c];
-      }
+/* Solves Y = b + a B Y by Gauss's elimination with partial pivoting. With some tens of unknowns no
+ * library would be faster, and a library's bits would differ between machines. */
+static void eliminate(struct unknowns *to, double albedo) {
+  const size_t n = to->n;
+  for (size_t l = 0; l < n; l++) {
+    for (size_t m = 0; m <= l; m++) {
+      to->row[l][m] = to->row[m][l] = (l == m ? 1 : 0) - albedo * CMPLX(to->re[l][m], to->im[l][m]);
     }
   }
-  for (size_t row = 0; row < 2; row++) {
-    for (size_t c = 0; c < GROUP; c++) {
-      const size_t to_row = l + row, column = m + c;
-      const double one = to_row == column ? 1 : 0;
-      work->matrix_re[to_row][column] = work->matrix_re[column][to_row] = one - albedo * re[row][c];
-      work->matrix_im[to_row][column] = work->matrix_im[column][to_row] = -albedo * im[row][c];
-    }
-  }
-}
-
-static void fill_matrix(isotropic_work *work, size_t n, size_t padded, double albedo) {
-  for (size_t l = 0; l < padded; l += 2) {
-    for (size_t m = l / GROUP * GROUP; m < padded; m += GROUP) {
-      fill_tile(work, n, padded, albedo, l, m);
-    }
-  }
-}
-
-/* Subtracts factor times row `from` from row `to`, from the column `first`, rounded down to a
- * multiple of GROUP, on. Nothing uses the columns before `first` any more. */
-static void subtract_row(isotropic_work *work, size_t padded, size_t to, size_t from, size_t first,
-                         double complex factor) {
-  const double re = creal(factor);
-  const double im = cimag(factor);
-  for (size_t m = first / GROUP * GROUP; m < padded; m += GROUP) {
-    double *to_re = work->matrix_re[to] + m, *to_im = work->matrix_im[to] + m;
-    const double *from_re = work->matrix_re[from] + m, *from_im = work->matrix_im[from] + m;
-    for (size_t c = 0; c < GROUP; c++) {
-      to_re[c] -= re * from_re[c] - im * from_im[c];
-      to_im[c] -= re * from_im[c] + im * from_re[c];
-    }
-  }
-  work->right[to] -= factor * work->right[from];
-}
-
-static double complex element(const isotropic_work *work, size_t l, size_t m) {
-  return CMPLX(work->matrix_re[l][m], work->matrix_im[l][m]);
-}
-
-static void swap_rows(isotropic_work *work, size_t padded, size_t one, size_t other) {
-  for (size_t m = 0; m < padded; m++) {
-    const double re = work->matrix_re[one][m];
-    const double im = work->matrix_im[one][m];
-    work->matrix_re[one][m] = work->matrix_re[other][m];
-    work->matrix_im[one][m] = work->matrix_im[other][m];
-    work->matrix_re[other][m] = re;
-    work->matrix_im[other][m] = im;
-  }
-  const double complex right = work->right[one];
-  work->right[one] = work->right[other];
-  work->right[other] = right;
-}
-
-/* Solves the system by Gauss's elimination with partial pivoting; work->right becomes the solution.
- * With some tens of unknowns no library would be faster, and a library's bits would differ between
- * machines. */
-static void eliminate(isotropic_work *work, size_t rank, size_t padded) {
-  for (size_t column = 0; column < rank; column++) {
+  for (size_t column = 0; column < n; column++) {
     size_t largest = column;
-    for (size_t l = column + 1; l < rank; l++) {
-      if (fn_norm2(element(work, l, column)) > fn_norm2(element(work, largest, column))) {
+    for (size_t l = column + 1; l < n; l++) {
+      if (fn_norm2(to->row[l][column]) > fn_norm2(to->row[largest][column])) {
         largest = l;
       }
     }
-    if (largest != column) {
-      swap_rows(work, padded, column, largest);
+    for (size_t m = column; m < n; m++) {
+      const double complex kept = to->row[column][m];
+      to->row[column][m] = to->row[largest][m];
+      to->row[largest][m] = kept;
     }
-    const double complex inverse = fn_inverse(element(work, column, column));
-    for (size_t l = column + 1; l < rank; l++) {
-      subtract_row(work, padded, l, column, column, element(work, l, column) * inverse);
+    const double complex kept = to->Y[column];
+    to->Y[column] = to->Y[largest];
+    to->Y[largest] = kept;
+    const double complex inverse = fn_inverse(to->row[column][column]);
+    for (size_t l = column + 1; l < n; l++) {
+      const double complex factor = to->row[l][column] * inverse;
+      for (size_t m = column; m < n; m++) {
+        to->row[l][m] -= factor * to->row[column][m];
+      }
+      to->Y[l] -= factor * to->Y[column];
     }
   }
-  for (size_t l = rank; l-- > 0;) {
-    double complex rest = work->right[l];
-    for (size_t m = l + 1; m < rank; m++) {
-      rest -= element(work, l, m) * work->right[m];
+  for (size_t l = n; l-- > 0;) {
+    for (size_t m = l + 1; m < n; m++) {
+      to->Y[l] -= to->row[l][m] * to->Y[m];
     }
-    work->right[l] = rest * fn_inverse(element(work, l, l));
+    to->Y[l] *= fn_inverse(to->row[l][l]);
   }
 }
 
-/* ---- solving -------------------------------------------------------------------------------- */
-
-/* Returns the part of the exitance that does not contain the unknowns, with h = H - 1:
+/* The part of the exitance that does not contain the unknowns is, with h = H - 1,
  *
  *   sum of exit [H(p) a H(1) / (1 + p) - a / (1 + p)]
  *     = sum of exit a / (1 + p) [h(p) H(1) + h(1)].
  */
-static double complex first_terms(const equation *of, const isotropic_work *work, double albedo) {
-  const nodes *at = &of->nodes;
-  const double complex h_1 = fn_cexpm1(work->log_h[at->n]);
-  double complex sum = 0;
-  for (size_t i = 0; i < at->n; i++) {
-    if (at->exit[i] != 0) {
-      const double complex h = fn_cexpm1(work->log_h[i]);
-      sum += at->exit[i] * (h * (1 + h_1) + h_1) * fn_inverse(1 + at->p[i]);
-    }
-  }
-  return albedo * sum;
-}
-
-/* Sets work->right to b_l and work->exit to the sums of exit H phi_l. */
-static void fill_vectors(const equation *of, isotropic_work *work, size_t padded, double albedo) {
-  const nodes *at = &of->nodes;
-  const double complex h_1 = fn_cexp(work->log_h[at->n]);
-  memset(work->right, 0, sizeof work->right);
-  memset(work->exit, 0, sizeof work->exit);
-  for (size_t i = 0; i < at->n; i++) {
-    const double complex source = albedo * h_1 * fn_inverse(1 + at->p[i]);
-    const double complex exit = at->exit[i] * fn_cexp(work->log_h[i]);
-    for (size_t l = 0; l < of->rank; l++) {
-      const size_t here = i * padded + l;
-      work->right[l] += source * CMPLX(work->weighted_re[here], work->weighted_im[here]);
-      work->exit[l] += exit * CMPLX(work->phi_re[here], work->phi_im[here]);
-    }
-  }
-}
-
-bool isotropic_equation_solve(const equation *of, isotropic_work *work, double albedo, double kappa,
-                              double complex *exitance) {
-  const nodes *at = &of->nodes;
-  const size_t padded = (of->rank + GROUP - 1) / GROUP * GROUP;
-  if (!reserve(work, at->n, padded)) {
-    return false;
-  }
+double complex isotropic_exitance(double eta, double accuracy, double complex k, double albedo,
+                                  double kappa) {
+  struct parts {
+    nodes nodes;
+    struct line line;
+    struct unknowns unknowns;
+  } *parts = calloc(1, sizeof *parts);
+  assert(parts != NULL);
+  const nodes *at = &parts->nodes;
+  struct unknowns *unknowns = &parts->unknowns;
+  isotropic_nodes(&parts->nodes, eta, accuracy, k);
+  choose_pivots(unknowns, at, accuracy);
   double p_max = 1;
   for (size_t i = 0; i < at->n; i++) {
-    p_max = fmax(p_max, sqrt(fn_norm2(at->p[i])));
+    p_max = fmax(p_max, fn_abs(at->p[i]));
   }
-  const double complex source = 1;
-  isotropic_h_set(work->h, albedo, kappa, of->k, p_max, of->accuracy);
-  isotropic_h_log(work->h, at->n, at->p, work->log_h);
-  isotropic_h_log(work->h, 1, &source, work->log_h + at->n);
-  *exitance = first_terms(of, work, albedo);
-  if (of->rank > 0) {
-    fill_rows(of, work, padded);
-    fill_matrix(work, at->n, padded, albedo);
-    fill_vectors(of, work, padded, albedo);
-    eliminate(work, of->rank, padded);
-    double complex sum = 0;
-    for (size_t l = 0; l < of->rank; l++) {
-      sum += work->exit[l] * work->right[l];
-    }
-    *exitance += albedo * sum;
+  make_line(&parts->line, albedo, kappa, k, p_max, accuracy);
+  const double complex h_1 = fn_cexpm1(log_h(&parts->line, 1));
+  double complex exitance = 0;
+  for (size_t i = 0; i < at->n; i++) {
+    const double complex log = log_h(&parts->line, at->p[i]), h = fn_cexpm1(log);
+    const double complex source = albedo * fn_inverse(1 + at->p[i]);
+    exitance += at->exit[i] * source * (h * (1 + h_1) + h_1);
+    add_node(unknowns, at->p[i], at->kernel[i] * fn_cexp(2 * log), source * (1 + h_1),
+             at->exit[i] * (1 + h));
   }
-  return true;
+  eliminate(unknowns, albedo);
+  for (size_t l = 0; l < unknowns->n; l++) {
+    exitance += albedo * unknowns->exit[l] * unknowns->Y[l];
+  }
+  free(parts);
+  return exitance;
 }

@@ -1,379 +1,222 @@
-/* The solver computes every number twice, on two contours with two sets of nodes. The finer one is
- * the answer, and SAFETY times their difference is the error estimate. */
+/* With X(k) the exitance of light scattered more than once, Fourier transformed over the plane,
+ *
+ *   R(r) = 1 / (2 pi) Re int X(k) H0(kr) k dk,     H0 = H0^(1).
+ *
+ * The path of k may be any that runs from the imaginary axis below i kappa to infinity in the first
+ * quadrant: X is analytic there, and on that part of the axis X is real and H0 k dk is imaginary.
+ * On the hyperbola
+ *
+ *   k = lambda sinh(y + i mu),   0 < mu < pi / 2,   lambda <= kappa,
+ *
+ * the integrand is even in y up to conjugation. It decays exponentially without oscillating, for
+ * every r. It is analytic for all mu from 0 (the real axis) to pi / 2 (where the path wraps the cut
+ * of X from i kappa upwards). So the trapezoidal rule with step h has the errors e^(-2 pi mu / h)
+ * times R at r = 0 and e^(-2 pi (pi / 2 - mu) / h) times R at r (Lopez-Fernandez and Palencia 2004;
+ * Weideman and Trefethen 2007 for the inverse Laplace transform). The energies are
+ *
+ *   int_r^inf 2 pi r' R dr' = -Re int X(k) r H1(kr) dk
+ *   int_0^r   2 pi r' R dr' =  Re int X(k) [r H1(kr) + 2 i / (pi k)] dk
+ *
+ * The code uses w = -i k r, with H0(kr) = -2 i / pi K0(w), H1(kr) = -2 / pi K1(w), i / k = r / w.
+ */
 #include "tests/accuracy/isotropic/isotropic.h"
 
 #include <assert.h>
 #include <math.h>
-#include <pthread.h>
+#include <stdbool.h>
 #include <stdlib.h>
 
+#include "core/transport/bessel.h"
 #include "core/transport/decay.h"
 #include "core/transport/functions.h"
 #include "core/transport/single.h"
-#include "tests/accuracy/isotropic/equation.h"
-#include "tests/accuracy/isotropic/nodes.h"
-#include "tests/accuracy/isotropic/spectrum.h"
+#include "tests/accuracy/isotropic/parts.h"
 
-#define ETA_ALLOWED "from 0.25 to 4"
-#define TOLERANCE_ALLOWED "from 1e-9 to 1e-3"
-#define ALBEDO_ALLOWED "from 0 to 1"
-#define MEMORY_ALLOWED "enough of it"
-
-enum { FINE, COARSE, BOTH };
-
-/* The rules are more accurate than the tolerance by these factors, so that the error estimate also
- * stays below the tolerance. */
-static const double finer[BOTH] = {200, 12};
-/* factors of lambda for contours that many media share */
-static const double shrink[BOTH] = {1, 0.97};
-/* factors of kappa, which give lambda, for contours made for one medium */
-static const double shrink_far[BOTH] = {0.999, 0.98};
-static const double single_step[BOTH] = {0.27, 0.33};
-/* The total needs only one wavenumber, K_TOTAL, which stands for 0. */
-static const double total_accuracy[BOTH] = {1e-14, 1e-12};
+/* The rules are more accurate than the tolerance by this factor. */
+#define FINER 200.0
+/* lambda is this share of kappa, but at least LAMBDA_MIN. */
+#define SHRINK 0.999
+#define LAMBDA_MIN 9e-10
+/* At the end of the reach, R is smaller than e^(-kappa r) by algebraic factors of up to
+ * e^-DECAYS_MORE. */
+#define DECAYS_MORE 10.0
+/* largest mu: wavenumbers keep away from the imaginary axis, as parts.h demands */
+#define MU_MAX 1.15
+/* The code solves equations for k up to K_SOLVED and extrapolates X beyond that. */
+#define K_SOLVED 2e4
+/* The sum over wavenumbers ends at K_END. */
+#define K_END 1e9
+/* For radii below R_LIMIT the code uses the limit for r -> 0. */
+#define R_LIMIT 1e-7
+/* Equations with |k| below K_NEAR are NEAR_FINER times as accurate as others, but never finer than
+ * ACCURACY_MIN: they alone determine R at large radii, where most of their sum cancels. */
+#define K_NEAR 4.0
+#define NEAR_FINER 300.0
+#define ACCURACY_MIN 1e-13
+/* The total needs only one wavenumber, which stands for 0. */
 #define K_TOTAL 1e-15
-#define TOTAL_ROUNDING 1e-13
-#define SAFETY 3.0
+#define TOTAL_ACCURACY 1e-14
+#define SINGLE_STEP 0.27
 
-/* ---- boundaries ----------------------------------------------------------------------------- */
-
-/* What totals need of a boundary. */
-struct totals {
-  nodes_rules rules[BOTH];
-  equation equation[BOTH];
-  single_rule single[BOTH];
-};
-
-struct isotropic_boundary {
-  double reach_decays;
-  spectrum_rules rules[BOTH];
-  struct totals totals;
-  pthread_mutex_t lock; /* protects `grids` */
-  spectrum_grid *grids[SPECTRUM_LEVEL_MAX + 1][BOTH];
-};
-
-static const core_fault no_fault = {NULL, NULL, 0};
-static const core_fault memory_fault = {"memory", MEMORY_ALLOWED, 0};
-
-static bool make_totals(struct totals *totals, double eta) {
-  bool made = true;
-  for (size_t i = 0; i < BOTH; i++) {
-    isotropic_nodes_rules(&totals->rules[i], eta, total_accuracy[i]);
-    transport_single_rule(&totals->single[i], eta, 1, single_step[i]);
-    made &= isotropic_equation_make(&totals->equation[i], &totals->rules[i], K_TOTAL);
-  }
-  return made;
-}
-
-static void free_totals(struct totals *totals) {
-  for (size_t i = 0; i < BOTH; i++) {
-    isotropic_equation_free(&totals->equation[i]);
-  }
-}
-
-static core_fault check_boundary(double eta, double tolerance) {
-  if (!(eta >= TRANSPORT_ETA_MIN && eta <= TRANSPORT_ETA_MAX)) {
-    return (core_fault){"eta", ETA_ALLOWED, 0};
-  }
-  if (!(tolerance >= ISOTROPIC_TOLERANCE_MIN && tolerance <= ISOTROPIC_TOLERANCE_MAX)) {
-    return (core_fault){"tolerance", TOLERANCE_ALLOWED, 0};
-  }
-  return no_fault;
-}
-
-static core_fault create(isotropic_boundary **boundary, double eta, double tolerance,
-                         double reach_decays) {
-  *boundary = NULL;
-  const core_fault fault = check_boundary(eta, tolerance);
-  if (fault.field != NULL) {
-    return fault;
-  }
-  isotropic_boundary *made = calloc(1, sizeof *made);
-  if (made == NULL) {
-    return memory_fault;
-  }
-  made->reach_decays = reach_decays;
-  pthread_mutex_init(&made->lock, NULL);
-  for (size_t i = 0; i < BOTH; i++) {
-    isotropic_spectrum_rules(&made->rules[i], eta, tolerance / finer[i], reach_decays);
-  }
-  if (!make_totals(&made->totals, eta)) {
-    isotropic_boundary_free(made);
-    return memory_fault;
-  }
-  *boundary = made;
-  return no_fault;
-}
-
-core_fault isotropic_boundary_create(isotropic_boundary **boundary, double eta, double tolerance) {
-  return create(boundary, eta, tolerance, ISOTROPIC_REACH_DECAYS);
-}
-
-core_fault isotropic_boundary_create_far(isotropic_boundary **boundary, double eta,
-                                         double tolerance) {
-  return create(boundary, eta, tolerance, ISOTROPIC_REACH_DECAYS_FAR);
-}
-
-void isotropic_boundary_free(isotropic_boundary *boundary) {
-  if (boundary == NULL) {
-    return;
-  }
-  free_totals(&boundary->totals);
-  for (size_t i = 0; i < BOTH; i++) {
-    for (size_t level = 0; level <= SPECTRUM_LEVEL_MAX; level++) {
-      isotropic_grid_free(boundary->grids[level][i]);
-    }
-  }
-  pthread_mutex_destroy(&boundary->lock);
-  free(boundary);
-}
-
-/* Returns the grid of a level, and makes it on the first call for that level. Returns NULL if
- * memory runs out. */
-static const spectrum_grid *grid_of(isotropic_boundary *boundary, size_t level, size_t i) {
-  pthread_mutex_lock(&boundary->lock);
-  if (boundary->grids[level][i] == NULL) {
-    boundary->grids[level][i] =
-        isotropic_grid_new(&boundary->rules[i], isotropic_spectrum_lambda(level, shrink[i]));
-  }
-  const spectrum_grid *grid = boundary->grids[level][i];
-  pthread_mutex_unlock(&boundary->lock);
-  return grid;
-}
-
-/* ---- solutions ------------------------------------------------------------------------------ */
-
-/* A solution holds a table of the relative errors of light scattered more than once, at the radii
- * TABLE_FIRST e^(i TABLE_STEP). Between these radii the code uses the largest of the neighbouring
- * errors, because a difference of two results may be 0 where their errors are not. */
-#define TABLE_FIRST 1e-7
-#define TABLE_STEP 0.2
-/* the table ends at this many reaches, or at TABLE_LAST where that is less */
-#define TABLE_REACHES 1.5
-#define TABLE_LAST 1e7 /* largest last radius of the table, in mean free paths */
-enum { TABLE_MAX = 164 };
-
-struct errors {
-  double R;
-  double within;
-  double beyond;
-};
+enum { POINTS_MAX = 640 };
 
 struct isotropic_solution {
-  double albedo;
-  double kappa;
-  /* relative accuracy that the rules for light scattered more than once are made for */
-  double least_error;
-  transport_number total;
-  double multiple_total;
-  single_rule single[BOTH];
-  spectrum spectra[BOTH];
-  size_t table_count;
-  struct errors table[TABLE_MAX];
-  spectrum_values last; /* values of light scattered more than once at the last radius of `table` */
+  double albedo, multiple_total, total;
+  single_rule single;
+  /* The exitance of light scattered more than once, at the path's wavenumbers. */
+  double far; /* limit of exitance times k^2 as k goes to infinity */
+  size_t n;
+  double complex k[POINTS_MAX], weighted[POINTS_MAX]; /* exitance times the rule's weight dk */
 };
 
-static double table_radius(size_t i) {
-  return TABLE_FIRST * fn_exp(TABLE_STEP * (double)i);
+/* ---- the exitance --------------------------------------------------------------------------- */
+
+struct path {
+  double lambda, mu, step; /* step of y, which starts at 0 */
+};
+
+static double complex wavenumber(const struct path *path, size_t j, double complex *dk) {
+  double complex sine, cosine;
+  isotropic_sinhcosh(CMPLX((double)j * path->step, path->mu), &sine, &cosine);
+  *dk = (j == 0 ? 0.5 : 1) * path->step * path->lambda * cosine;
+  return path->lambda * sine;
 }
 
-static double relative(double fine, double coarse) {
-  return fine == coarse ? 0 : fmin(1, SAFETY * fabs(fine - coarse) / fabs(fine));
+/* Chooses mu and the step so that both errors are balanced: 2 pi mu / h = digits + decay_kept and 2
+ * pi (pi / 2 - mu) / h >= digits. */
+static struct path choose_path(double kappa, double accuracy, double reach) {
+  const double digits = -fn_log(accuracy), decay_kept = reach + DECAYS_MORE;
+  struct path path = {.lambda = fmax(SHRINK * kappa, LAMBDA_MIN)};
+  path.mu = fmin(MU_MAX, 0.5 * FN_PI * (digits + decay_kept) / (2 * digits + decay_kept));
+  path.step = 2 * FN_PI * path.mu / (digits + decay_kept);
+  return path;
 }
 
-static void fill_table(isotropic_solution *solution, double reach_decays) {
-  const double last = fmin(TABLE_LAST, TABLE_REACHES * reach_decays / fmax(solution->kappa, 1e-30));
-  for (size_t i = 0; i < TABLE_MAX && table_radius(i) <= last; i++) {
-    const spectrum_values fine = isotropic_spectrum_at(&solution->spectra[FINE], table_radius(i));
-    const spectrum_values coarse =
-        isotropic_spectrum_at(&solution->spectra[COARSE], table_radius(i));
-    solution->table[i] =
-        (struct errors){relative(fine.r, coarse.r), relative(fine.within, coarse.within),
-                        relative(fine.beyond, coarse.beyond)};
-    solution->last = fine;
-    solution->table_count = i + 1;
+/* The asymptote X k^2 = far + (b ln k + c) / k, which fit_asymptote() fits at three wavenumbers. */
+struct asymptote {
+  double complex far, b, c;
+};
+
+static struct asymptote fit_asymptote(const double complex *k, const double complex *exitance,
+                                      size_t n, size_t apart) {
+  double complex value[3], ln_by_k[3], by_k[3];
+  for (size_t i = 0; i < 3; i++) {
+    const double complex at = k[n - 1 - i * apart];
+    value[i] = exitance[n - 1 - i * apart] * at * at;
+    by_k[i] = fn_inverse(at);
+    ln_by_k[i] = fn_clog(at) * by_k[i];
+  }
+  const double complex l1 = ln_by_k[1] - ln_by_k[0], l2 = ln_by_k[2] - ln_by_k[0];
+  const double complex k1 = by_k[1] - by_k[0], k2 = by_k[2] - by_k[0];
+  const double complex v1 = value[1] - value[0], v2 = value[2] - value[0];
+  const double complex inverse_determinant = fn_inverse(l1 * k2 - l2 * k1);
+  struct asymptote fit;
+  fit.b = (v1 * k2 - v2 * k1) * inverse_determinant;
+  fit.c = (l1 * v2 - l2 * v1) * inverse_determinant;
+  fit.far = value[0] - fit.b * ln_by_k[0] - fit.c * by_k[0];
+  return fit;
+}
+
+static double complex asymptote_at(const struct asymptote *fit, double complex k) {
+  const double complex by_k = fn_inverse(k);
+  return (fit->far + (fit->b * fn_clog(k) + fit->c) * by_k) * by_k * by_k;
+}
+
+static void solve_spectrum(isotropic_solution *to, double eta, double kappa, double tolerance,
+                           double reach) {
+  const double accuracy = tolerance / FINER, near = fmax(ACCURACY_MIN, accuracy / NEAR_FINER);
+  const struct path path = choose_path(kappa, accuracy, reach);
+  const double steps = fn_log(2 * K_SOLVED / path.lambda) / path.step;
+  const size_t solved = steps < POINTS_MAX ? (size_t)steps : POINTS_MAX;
+  double complex exitance[POINTS_MAX], dk;
+  /* With almost no absorption, at the smallest lambda, the path would begin on the cut of X, at a
+   * distance of 1e-9 from 0. Near 0 X is linear in k, and only its real part counts at the path's
+   * beginning. So the code extrapolates X at the first wavenumber from the next two. */
+  const bool cut_through = kappa < path.lambda;
+  for (size_t j = solved; j-- > 0;) {
+    const double complex k = to->k[j] = wavenumber(&path, j, &dk);
+    exitance[j] =
+        j == 0 && cut_through
+            ? creal(exitance[1] -
+                    (exitance[2] - exitance[1]) * fn_inverse(to->k[2] - to->k[1]) * to->k[1])
+            : isotropic_exitance(eta, fn_abs(k) < K_NEAR ? near : accuracy, k, to->albedo, kappa);
+    to->weighted[j] = exitance[j] * dk;
+  }
+  const struct asymptote fit =
+      fit_asymptote(to->k, exitance, solved, (size_t)(1 + 1.1 / path.step));
+  to->far = creal(fit.far);
+  to->n = solved;
+  for (size_t j = solved; j < POINTS_MAX && !(fn_abs(to->k[j - 1]) > K_END); j++) {
+    to->k[j] = wavenumber(&path, j, &dk);
+    to->weighted[j] = asymptote_at(&fit, to->k[j]) * dk;
+    to->n = j + 1;
   }
 }
 
-/* Sets *multiple and *total to the energy that leaves after it was scattered more than once, and to
- * all that leaves. */
-static bool solve_total(const struct totals *totals, isotropic_work *work, double albedo,
-                        double kappa, double *multiple, transport_number *total) {
-  double twice[BOTH];
-  for (size_t i = 0; i < BOTH; i++) {
-    double complex exitance;
-    if (!isotropic_equation_solve(&totals->equation[i], work, albedo, kappa, &exitance)) {
-      return false;
-    }
-    twice[i] = creal(exitance);
+isotropic_solution *isotropic_solve(double eta, double albedo, double tolerance, double reach) {
+  isotropic_solution *solution = calloc(1, sizeof *solution);
+  assert(solution != NULL && eta >= 0.25 && eta <= 4 && albedo >= 0 && albedo <= 1);
+  if (albedo > 0) {
+    const double kappa = transport_kappa(albedo);
+    solution->albedo = albedo;
+    transport_single_rule(&solution->single, eta, 1, SINGLE_STEP);
+    solution->multiple_total =
+        creal(isotropic_exitance(eta, TOTAL_ACCURACY, K_TOTAL, albedo, kappa));
+    solution->total = solution->multiple_total +
+                      albedo * transport_single_at(&solution->single, (double)INFINITY).within;
+    solve_spectrum(solution, eta, kappa, tolerance, reach);
   }
-  const double single = transport_single_at(&totals->single[FINE], INFINITY).within;
-  const double single_coarse = transport_single_at(&totals->single[COARSE], INFINITY).within;
-  *multiple = twice[FINE];
-  total->value = twice[FINE] + albedo * single;
-  total->error = fabs(twice[FINE] - twice[COARSE]) + albedo * fabs(single - single_coarse) +
-                 TOTAL_ROUNDING * total->value;
-  return true;
+  return solution;
 }
 
-static bool solve(isotropic_solution *solution, isotropic_boundary *boundary,
-                  isotropic_work *work) {
-  const bool far = boundary->reach_decays > ISOTROPIC_REACH_DECAYS;
-  const size_t level = isotropic_spectrum_level(solution->kappa);
-  for (size_t i = 0; i < BOTH; i++) {
-    spectrum_grid *own =
-        far ? isotropic_grid_new(&boundary->rules[i], shrink_far[i] * solution->kappa) : NULL;
-    const spectrum_grid *grid = far ? own : grid_of(boundary, level, i);
-    const bool made = grid != NULL && isotropic_spectrum_make(&solution->spectra[i], grid, work,
-                                                              solution->albedo, solution->kappa);
-    isotropic_grid_free(own);
-    if (!made) {
-      return false;
-    }
+void isotropic_free(isotropic_solution *of) {
+  free(of);
+}
+
+double isotropic_total(const isotropic_solution *of) {
+  return of->total;
+}
+
+/* ---- the way back --------------------------------------------------------------------------- */
+
+/* Light scattered more than once, at a radius: R, and the energies within the radius, accurate for
+ * small ones, and beyond it, accurate for large ones. */
+struct multiple {
+  double R, within, beyond;
+};
+
+static struct multiple sum_at(const isotropic_solution *of, double r) {
+  struct multiple sum = {0, 0, 0};
+  for (size_t j = 0; j < of->n; j++) {
+    const bessel_k k = transport_bessel_k(CMPLX(0, -r) * of->k[j]);
+    sum.R += cimag(of->weighted[j] * of->k[j] * k.k0) / (FN_PI * FN_PI);
+    sum.within += creal(of->weighted[j] * k.pole_less_k1) * (2 * r / FN_PI);
+    sum.beyond += creal(of->weighted[j] * k.k1) * (2 * r / FN_PI);
   }
-  if (!solve_total(&boundary->totals, work, solution->albedo, solution->kappa,
-                   &solution->multiple_total, &solution->total)) {
-    return false;
+  return sum;
+}
+
+/* Since X -> far / k^2 for large k, R(r) - R(r0) -> far / (2 pi) ln(r0 / r) as r and r0 go to 0. */
+static struct multiple multiple_at(const isotropic_solution *of, double r) {
+  struct multiple values = sum_at(of, fmax(r, R_LIMIT));
+  if (r < R_LIMIT) {
+    const double slope = of->far / (2 * FN_PI), energy = values.within + values.beyond;
+    values.R += slope * (fn_log(R_LIMIT) - fn_log(r));
+    values.within = FN_PI * r * r * (values.R + 0.5 * slope);
+    values.beyond = energy - values.within;
   }
-  fill_table(solution, boundary->reach_decays);
-  return true;
-}
-
-core_fault isotropic_solve(isotropic_solution **solution, isotropic_boundary *boundary,
-                           double albedo) {
-  *solution = NULL;
-  if (!(albedo >= 0 && albedo <= 1)) {
-    return (core_fault){"albedo", ALBEDO_ALLOWED, 0};
-  }
-  isotropic_solution *made = calloc(1, sizeof *made);
-  isotropic_work *work = isotropic_work_new();
-  bool solved = made != NULL && work != NULL;
-  if (solved && albedo > 0) {
-    made->albedo = albedo;
-    made->kappa = transport_kappa(albedo);
-    made->least_error = boundary->rules[FINE].accuracy;
-    made->single[FINE] = boundary->totals.single[FINE];
-    made->single[COARSE] = boundary->totals.single[COARSE];
-    solved = solve(made, boundary, work);
-  }
-  isotropic_work_free(work);
-  if (!solved) {
-    free(made);
-    return memory_fault;
-  }
-  *solution = made;
-  return no_fault;
-}
-
-void isotropic_solution_free(isotropic_solution *solution) {
-  free(solution);
-}
-
-transport_number isotropic_total(const isotropic_solution *solution) {
-  return solution->total;
-}
-
-/* ---- values --------------------------------------------------------------------------------- */
-
-/* Radii below R_SMALLEST are taken as 0 and above R_LARGEST as infinity, because R or its products
- * might overflow. */
-#define R_SMALLEST 1e-290
-#define R_LARGEST 1e60
-
-static double off_by(double value, double fraction, double absolute) {
-  return fabs(value) * fraction + absolute;
-}
-
-/* Returns the largest relative errors that the table holds around the radius r. */
-static struct errors errors_around(const isotropic_solution *solution, double r) {
-  const double place = (fn_log(fmax(r, TABLE_FIRST)) - fn_log(TABLE_FIRST)) / TABLE_STEP;
-  const size_t before = (size_t)place;
-  struct errors most = {0, 0, 0};
-  for (size_t i = before > 0 ? before - 1 : 0; i <= before + 1 && i < solution->table_count; i++) {
-    most.R = fmax(most.R, solution->table[i].R);
-    most.within = fmax(most.within, solution->table[i].within);
-    most.beyond = fmax(most.beyond, solution->table[i].beyond);
-  }
-  return most;
-}
-
-/* Returns the absolute errors of the values at r. Beyond the table, the only known bound is that
- * light decays at least as fast as e^(-kappa r). So there the errors of R and of the energy beyond
- * r are these values themselves plus that bound. */
-static struct errors errors_at(const isotropic_solution *solution, double r,
-                               const spectrum_values *values) {
-  const double least = solution->least_error;
-  const double last_r = table_radius(solution->table_count - 1);
-  if (r > last_r) {
-    const double decay = fn_exp(fmax(-700, -solution->kappa * (r - last_r)));
-    return (struct errors){off_by(values->r, 1, decay * fabs(solution->last.r)),
-                           off_by(values->within, least, off_by(solution->last.beyond, decay, 0)),
-                           off_by(values->beyond, 1, decay * fabs(solution->last.beyond))};
-  }
-  /* On the level with the smallest lambda, the path leaves out the wavenumbers nearer to 0 than
-   * lambda; see spectrum.c. */
-  const double lambda = solution->spectra[FINE].lambda;
-  const double missing = solution->kappa < lambda ? lambda * r : 0;
-  const struct errors around = errors_around(solution, r);
-  return (struct errors){off_by(values->r, around.R + missing + least, values->r_rounding),
-                         off_by(values->within, around.within + missing + least, 0),
-                         off_by(values->beyond, around.beyond + missing + least, 0)};
-}
-
-/* Returns the energy within r of light scattered more than once. Far away the energy beyond r is
- * small and more accurate, so the code subtracts it from the total there. */
-static transport_number multiple_within(const isotropic_solution *solution,
-                                        const spectrum_values *values,
-                                        const struct errors *errors) {
-  if (values->beyond < values->within) {
-    return (transport_number){solution->multiple_total - values->beyond,
-                              errors->beyond + solution->total.error};
-  }
-  return (transport_number){values->within, errors->within};
-}
-
-static transport_number single_number(double albedo, double fine, double coarse) {
-  return (transport_number){albedo * fine, albedo * (fabs(fine - coarse) + 1e-13 * fine)};
-}
-
-static transport_number sum_of(transport_number one, transport_number other) {
-  return (transport_number){one.value + other.value, one.error + other.error};
-}
-
-/* Returns the number with a negative value replaced by 0, which is nearer to the exact value. */
-static transport_number not_negative(transport_number number) {
-  return (transport_number){number.value < 0 ? 0 : number.value, number.error};
-}
-
-static isotropic_values finite_values(const isotropic_solution *solution, double r) {
-  const single_values single = transport_single_at(&solution->single[FINE], r);
-  const single_values coarse = transport_single_at(&solution->single[COARSE], r);
-  const spectrum_values multiple = isotropic_spectrum_at(&solution->spectra[FINE], r);
-  const struct errors errors = errors_at(solution, r, &multiple);
-  const double albedo = solution->albedo;
-  isotropic_values values;
-  values.single = single_number(albedo, single.r, coarse.r);
-  values.multiple = not_negative((transport_number){multiple.r, errors.R});
-  values.R = sum_of(values.single, values.multiple);
-  values.within = sum_of(single_number(albedo, single.within, coarse.within),
-                         not_negative(multiple_within(solution, &multiple, &errors)));
   return values;
 }
 
-isotropic_values isotropic_at(const isotropic_solution *solution, double r) {
-  assert(r >= 0);
-  const transport_number none = {0, 0};
-  if (solution->albedo == 0) {
-    return (isotropic_values){none, none, none, none};
+/* Far away the energy beyond r is small and more accurate, so it is subtracted from the total. */
+isotropic_values isotropic_at(const isotropic_solution *of, double r) {
+  if (of->albedo == 0) {
+    return (isotropic_values){0, 0, 0};
   }
-  if (r < R_SMALLEST) {
-    const transport_number infinite = {INFINITY, 0};
-    return (isotropic_values){infinite, infinite, infinite, none};
-  }
-  if (r > R_LARGEST) {
-    /* The bound follows since R decreases, and at most all the energy leaves beyond r / 2. */
-    const transport_number next_to_none = {0, 2 * solution->total.value / (r * r)};
-    return (isotropic_values){next_to_none, next_to_none, next_to_none, solution->total};
-  }
-  return finite_values(solution, r);
+  const single_values single = transport_single_at(&of->single, r);
+  const struct multiple multiple = multiple_at(of, r);
+  const double within =
+      multiple.beyond < multiple.within ? of->multiple_total - multiple.beyond : multiple.within;
+  return (isotropic_values){of->albedo * single.r + fmax(0, multiple.R), of->albedo * single.r,
+                            of->albedo * single.within + fmax(0, within)};
 }

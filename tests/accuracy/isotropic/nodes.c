@@ -1,9 +1,22 @@
-#include "tests/accuracy/isotropic/nodes.h"
-
+/* The measures of the transport equation. All kernels are means of exponentials e^(-pt) over complex
+ * decay rates p, where t is a sum or a difference of depths in mean free paths. For a wavenumber k
+ * across the plane, with mu the cosine and x the tangent of the angle to the normal, and C = 1 / mu:
+ *
+ *   K(t)   = 1/2 int dmu / mu        J0(k t x) e^(-C t)   light that reaches another depth
+ *   K_T(t) = 1/2 int dmu / mu T(mu)  J0(k t x) e^(-C t)   the part that the boundary lets out
+ *   X(t)   = 1/2 int dmu      T(mu)  J0(k t x) e^(-C t)   the exitance of a source at depth t
+ *
+ * T = 1 - F is Fresnel's transmittance from inside. The kernel of the light that the boundary
+ * reflects is K - K_T. The weights `kernel` represent it and the weights `exit` represent X: K -
+ * K_T = sum of kernel[i] e^(-p[i] t) and X = sum of exit[i] e^(-p[i] t).
+ */
+#include <assert.h>
 #include <math.h>
-#include <stdlib.h>
+#include <stdbool.h>
 
 #include "core/transport/functions.h"
+#include "core/transport/gauss.h"
+#include "tests/accuracy/isotropic/parts.h"
 
 /* For Re z >= 0 and m = e^z - 1, sinh z = (m + m / (1 + m)) / 2 and cosh z = 1 + m^2 / (2 (1 + m)).
  */
@@ -13,6 +26,15 @@ void isotropic_sinhcosh(double complex z, double complex *sine, double complex *
   const double complex quotient = m * fn_inverse(1 + m);
   *sine = sign * 0.5 * (m + quotient);
   *cosine = 1 + 0.5 * m * quotient;
+}
+
+/* Adds a node. */
+static void add(nodes *to, double complex p, double complex kernel, double complex exit) {
+  assert(to->n < sizeof to->p / sizeof to->p[0]);
+  to->p[to->n] = p;
+  to->kernel[to->n] = kernel;
+  to->exit[to->n] = exit;
+  to->n++;
 }
 
 /* Below this |k| the measure of the boundary is integrated along chords in the plane of p, which
@@ -43,8 +65,8 @@ static double complex transmittance(double eta, double complex mu, double comple
 /* The numbers of points below were found by comparing with twice as many, over eta from 0.25 to 4
  * and |k| up to 1e4. With these numbers the error of the exitance is about the accuracy. */
 
-static size_t at_most(double count, size_t limit) {
-  return count < (double)limit ? (size_t)count : limit;
+static void make_rule(gauss_rule *rule, double count) {
+  transport_gauss(rule, count < GAUSS_MAX ? (size_t)count : GAUSS_MAX);
 }
 
 /* Returns how many e-folds of mu separate the critical angle from grazing incidence or, for eta <
@@ -53,26 +75,10 @@ static double nearness(double eta) {
   return eta == 1 ? 0 : fn_log(1 + 1 / sqrt(fabs((eta - 1) * (eta + 1))));
 }
 
-void isotropic_nodes_rules(nodes_rules *rules, double eta, double accuracy) {
-  const double digits = -fn_log(accuracy);
-  const double for_root = 6 + 0.6 * digits;
-  rules->eta = eta;
-  rules->accuracy = accuracy;
-  transport_gauss(&rules->scattered, at_most(4 + 0.7 * digits, GAUSS_MAX));
-  transport_gauss(&rules->chords, at_most(for_root * (1 + 0.1 * nearness(eta)), GAUSS_MAX));
-  transport_gauss(&rules->transmitted, at_most(for_root * (1 + 0.2 * nearness(eta)), GAUSS_MAX));
-  rules->chord_points = at_most(6 + 0.6 * digits, GAUSS_MAX);
-}
-
 /* Returns |k| times the tangent of the critical angle, at which the arcs end; returns |k| if eta <=
  * 1. */
 static double arc_size(double eta, double complex k) {
   return eta > 1 ? fn_abs(k) / sqrt((eta - 1) * (eta + 1)) : fn_abs(k);
-}
-
-static size_t arc_points(const nodes_rules *rules, double complex k) {
-  const double scales = fn_log(1 + arc_size(rules->eta, k));
-  return at_most((3 - fn_log(rules->accuracy)) * (0.85 + 0.3 * scales), GAUSS_MAX);
 }
 
 /* ---- paths through many scales -------------------------------------------------------------- */
@@ -111,15 +117,14 @@ static struct stretch stretched(bool two_ends, double size, double s) {
 /* Adds the nodes of K(t) = int ds / (2 p) e^(-pt), p = sqrt(s^2 + k^2), s from 1 to infinity. In z
  * = s + p this is dz / (2 z) with p = (z + k^2 / z) / 2, which contains no root. z runs from z0 = 1
  * + sqrt(1 + k^2) away from 0: z = z0 / t^2 with t from 1 to 0. */
-static void add_scattered(nodes *to, const nodes_rules *rules, double complex k) {
+static void add_scattered(nodes *to, double digits, double complex k) {
   const double complex z0 = 1 + fn_csqrt(1 + k * k);
-  for (size_t i = 0; i < rules->scattered.n; i++) {
-    const double t = rules->scattered.x[i];
+  gauss_rule rule;
+  make_rule(&rule, 4 + 0.7 * digits);
+  for (size_t i = 0; i < rule.n; i++) {
+    const double t = rule.x[i];
     const double complex z = z0 / (t * t);
-    to->p[to->n] = 0.5 * (z + k * k * fn_inverse(z));
-    to->kernel[to->n] = rules->scattered.weight[i] / t;
-    to->exit[to->n] = 0;
-    to->n++;
+    add(to, 0.5 * (z + k * k * fn_inverse(z)), rule.weight[i] / t, 0);
   }
 }
 
@@ -134,10 +139,7 @@ static void add_unreflected(nodes *to, double complex k, const gauss_rule *rule)
     const double complex p = 0.5 * (z + k * k * fn_inverse(z));
     const double complex s = 0.5 * (z - k * k * fn_inverse(z));
     const double dz_by_z = stretch.rho * stretch.slope / (1 + stretch.rho) * rule->weight[i];
-    to->p[to->n] = p;
-    to->kernel[to->n] = 0;
-    to->exit[to->n] = 0.5 * dz_by_z * p * fn_inverse(s * s);
-    to->n++;
+    add(to, p, 0, 0.5 * dz_by_z * p * fn_inverse(s * s));
   }
 }
 
@@ -180,19 +182,18 @@ static struct angle angle_outside_denser(double eta, double t, double weight) {
 
 /* Adds the nodes of K_T and X for small k. J0(k t x) e^(-C t) is the mean of e^(-pt) over the chord
  * p = C - i k x cos(phi), which the midpoint rule in phi computes. */
-static void add_chords(nodes *to, const nodes_rules *rules, double complex k) {
-  for (size_t i = 0; i < rules->chords.n; i++) {
-    const double t = rules->chords.x[i];
-    const double weight = rules->chords.weight[i];
-    const struct angle angle = rules->eta > 1 ? angle_inside_denser(rules->eta, t, weight)
-                                              : angle_outside_denser(rules->eta, t, weight);
-    for (size_t j = 0; j < rules->chord_points; j++) {
+static void add_chords(nodes *to, double eta, double for_root, double complex k) {
+  const int points = (int)for_root;
+  gauss_rule rule;
+  make_rule(&rule, for_root * (1 + 0.1 * nearness(eta)));
+  for (size_t i = 0; i < rule.n; i++) {
+    const struct angle angle = eta > 1 ? angle_inside_denser(eta, rule.x[i], rule.weight[i])
+                                       : angle_outside_denser(eta, rule.x[i], rule.weight[i]);
+    for (int j = 0; j < points; j++) {
       double sine, cosine;
-      fn_sincos(FN_PI * ((double)j + 0.5) / (double)rules->chord_points, &sine, &cosine);
-      to->p[to->n] = 1 / angle.mu - CMPLX(0, 1) * k * (angle.x * cosine);
-      to->kernel[to->n] = -angle.weight / (double)rules->chord_points;
-      to->exit[to->n] = angle.weight * angle.mu / (double)rules->chord_points;
-      to->n++;
+      fn_sincos(FN_PI * (j + 0.5) / points, &sine, &cosine);
+      add(to, 1 / angle.mu - CMPLX(0, 1) * k * (angle.x * cosine), -angle.weight / points,
+          angle.weight * angle.mu / points);
     }
   }
 }
@@ -230,8 +231,7 @@ struct path_point {
  *
  * For eta > 1 the critical cosine is mu_c = 1 / cosh U, and mu' = 1 / cosh u' with v = e^u'. So
  * mu' - mu_c = mu' mu_c (cosh U - cosh u') = mu' mu_c (V - v) (V v - 1) / (2 V v). */
-static struct path_point path_at(const nodes_rules *rules, double size, double bend, double s) {
-  const double eta = rules->eta;
+static struct path_point path_at(double eta, double size, double bend, double s) {
   const struct stretch stretch = stretched(eta > 1, size, s);
   double sine, cosine;
   fn_sincos(bend, &sine, &cosine);
@@ -262,22 +262,21 @@ struct densities {
   double complex exit;
 };
 
-static struct densities arc_densities(const nodes_rules *rules, double complex k,
+static struct densities arc_densities(double eta, const gauss_rule *rule, double complex k,
                                       const struct path_point *at, double complex c_other) {
-  const double eta = rules->eta;
   const double mu_c = critical_mu(eta);
   const double complex root = fn_csqrt(at->beyond_critical);
   const double complex shared =
       2 * fn_csqrt(at->beyond_critical * at->mu) * fn_inverse(fn_csqrt(1 + k * k));
   struct densities sum = {0, 0};
-  for (size_t i = 0; i < rules->transmitted.n; i++) {
+  for (size_t i = 0; i < rule->n; i++) {
     double sine, cosine;
-    fn_sincos(0.5 * FN_PI * rules->transmitted.x[i], &sine, &cosine);
+    fn_sincos(0.5 * FN_PI * rule->x[i], &sine, &cosine);
     const double complex mu = mu_c + at->beyond_critical * (cosine * cosine);
     const double complex mu_t = eta > 1 ? eta * cosine * root * fn_csqrt(mu + mu_c)
                                         : fn_csqrt((1 - eta) * (1 + eta) + eta * eta * mu * mu);
     const double complex d = fn_csqrt(mu) * fn_csqrt(fn_inverse(mu) - c_other);
-    const double weight = 0.5 * FN_PI * rules->transmitted.weight[i] * cosine;
+    const double weight = 0.5 * FN_PI * rule->weight[i] * cosine;
     const double complex term = weight * transmittance(eta, mu, mu_t) * fn_inverse(d);
     sum.kernel += term;
     sum.exit += term * mu;
@@ -293,61 +292,46 @@ static double bend_angle(double complex k) {
   return fmax(0.15, 0.75 * (psi - 0.55));
 }
 
-/* Adds the nodes of one of the two arcs of decay rates, p = cosh u + side i k sinh u. side: 1 or
- * -1. */
-static void add_arc(nodes *to, const nodes_rules *rules, double complex k, int side,
-                    const gauss_rule *rule) {
-  const double eta = rules->eta;
+/* Adds the nodes of one of the two arcs of decay rates, p = cosh u + side i k sinh u. side: 1 or -1.
+ * angles: a rule for what is transmitted. */
+static void add_arc(nodes *to, double eta, double complex k, int side, const gauss_rule *rule,
+                    const gauss_rule *angles) {
   const double size = arc_size(eta, k);
   const double complex ik = CMPLX(0, side) * k;
   /* turn = e^(2 i psi) = (1 + i tan(psi)) / (1 - i tan(psi)) */
   const double complex turn = (1 + ik) * fn_inverse(1 - ik);
   const double bend = side * bend_angle(k);
   for (size_t i = 0; i < rule->n; i++) {
-    const struct path_point at = path_at(rules, size, bend, rule->x[i]);
+    const struct path_point at = path_at(eta, size, bend, rule->x[i]);
     const double complex v = 1 + at.v_less_1;
     const double complex by_v = fn_inverse(v);
     const double complex sinh_u = 0.5 * at.v_less_1 * (v + 1) * by_v;
     const double complex cosh_u = 0.5 * (v + by_v);
     const double complex c_other = 0.5 * (v * turn + by_v * fn_inverse(turn));
-    const struct densities m = arc_densities(rules, k, &at, c_other);
+    const struct densities m = arc_densities(eta, angles, k, &at, c_other);
     const double complex dp = (sinh_u + ik * cosh_u) * at.dv * by_v;
     const double complex measure = CMPLX(0, -side * rule->weight[i] / (2 * FN_PI)) * dp;
-    to->p[to->n] = cosh_u + ik * sinh_u;
-    to->kernel[to->n] = -measure * m.kernel;
-    to->exit[to->n] = measure * m.exit;
-    to->n++;
+    add(to, cosh_u + ik * sinh_u, -measure * m.kernel, measure * m.exit);
   }
 }
 
 /* ---- all nodes ------------------------------------------------------------------------------ */
 
-bool isotropic_nodes_make(nodes *to, const nodes_rules *rules, double complex k) {
-  const bool chords = rules->eta != 1 && fn_abs(k) < CHORDS_UP_TO;
-  gauss_rule path; /* rule for each arc, or for all of X if eta is 1 */
-  transport_gauss(&path, arc_points(rules, k));
-  const size_t room = rules->scattered.n + 2 * path.n + rules->chords.n * rules->chord_points;
-  double complex *block = malloc(3 * room * sizeof *block);
-  if (block == NULL) {
-    *to = (nodes){0, NULL, NULL, NULL};
-    return false;
-  }
-  *to = (nodes){0, block, block + room, block + 2 * room};
-  if (rules->eta == 1) {
+void isotropic_nodes(nodes *to, double eta, double accuracy, double complex k) {
+  const double digits = -fn_log(accuracy), for_root = 6 + 0.6 * digits;
+  gauss_rule path, angles; /* path: a rule for each arc, or for all of X if eta is 1 */
+  make_rule(&path, (3 + digits) * (0.85 + 0.3 * fn_log(1 + arc_size(eta, k))));
+  to->n = 0;
+  if (eta == 1) {
     add_unreflected(to, k, &path);
-    return true;
+    return;
   }
-  add_scattered(to, rules, k);
-  if (chords) {
-    add_chords(to, rules, k);
-  } else {
-    add_arc(to, rules, k, 1, &path);
-    add_arc(to, rules, k, -1, &path);
+  add_scattered(to, digits, k);
+  if (fn_abs(k) < CHORDS_UP_TO) {
+    add_chords(to, eta, for_root, k);
+    return;
   }
-  return true;
-}
-
-void isotropic_nodes_free(nodes *of) {
-  free(of->p);
-  *of = (nodes){0, NULL, NULL, NULL};
+  make_rule(&angles, for_root * (1 + 0.2 * nearness(eta)));
+  add_arc(to, eta, k, 1, &path, &angles);
+  add_arc(to, eta, k, -1, &path, &angles);
 }
