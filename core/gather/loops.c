@@ -6,7 +6,7 @@
 #include "core/kernels.h"
 #include "core/lut/piece.h"
 
-#ifdef __AVX512F__
+#ifdef __AVX2__
 #include <immintrin.h>
 #endif
 
@@ -195,11 +195,22 @@ static void widen(size_t n, const float *restrict in, double *restrict out) {
   }
 }
 
-typedef double lanes __attribute__((vector_size(GATHER_LANES * sizeof(double)), may_alias));
-typedef long long lane_bits __attribute__((vector_size(GATHER_LANES * sizeof(double)), may_alias));
+/* A register holds WIDE of the lanes, and VECTORS of them all. Wider vectors would be compared lane by
+ * lane. */
+#if defined __AVX512F__
+enum { WIDE = 8 };
+#elif defined __AVX2__
+enum { WIDE = 4 };
+#else
+enum { WIDE = 2 };
+#endif
+enum { VECTORS = GATHER_LANES / WIDE };
+
+typedef double lanes __attribute__((vector_size(WIDE * sizeof(double)), may_alias));
+typedef long long lane_bits __attribute__((vector_size(WIDE * sizeof(double)), may_alias));
 
 typedef double loose_lanes
-    __attribute__((vector_size(GATHER_LANES * sizeof(double)), may_alias, aligned(sizeof(double))));
+    __attribute__((vector_size(WIDE * sizeof(double)), may_alias, aligned(sizeof(double))));
 
 /* Sets each lane of a to the larger of a and b. A lane of b that is NaN changes nothing. */
 static inline __attribute__((always_inline)) void raise_to(lanes *a, const lanes *b) {
@@ -221,20 +232,23 @@ static double error(const gather_bounds *bounds, const gather_views *views, size
   const double rest = views->rest[node], twice = views->twice[node];
   const size_t first = gather_band(bounds, least), last = gather_band(bounds, most) + 1;
   /* The last block may extend beyond the last edge. Its further values can only raise the bound. */
-  lanes most_of = {0};
+  lanes most_of[VECTORS] = {{0}};
   for (size_t i = first; i <= last; i += GATHER_LANES) {
-    const lanes range = *(const loose_lanes *)(near->range + i);
-    const lanes same = *(const loose_lanes *)(near->same + i);
-    const lanes cubic = *(const loose_lanes *)(near->cubic + i);
-    lanes other = same * less;
-    const lanes twofold = (same + range) * twice;
-    raise_to(&other, &twofold);
-    const lanes sum = range * fourth + cubic * rest + other;
-    raise_to(&most_of, &sum);
+    for (size_t k = 0; k < VECTORS; k++) {
+      const lanes range = *(const loose_lanes *)(near->range + i + WIDE * k);
+      const lanes same = *(const loose_lanes *)(near->same + i + WIDE * k);
+      const lanes cubic = *(const loose_lanes *)(near->cubic + i + WIDE * k);
+      lanes other = same * less;
+      const lanes twofold = (same + range) * twice;
+      raise_to(&other, &twofold);
+      const lanes sum = range * fourth + cubic * rest + other;
+      raise_to(&most_of[k], &sum);
+    }
   }
-  const double even = larger(larger(most_of[0], most_of[4]), larger(most_of[2], most_of[6]));
-  const double odd = larger(larger(most_of[1], most_of[5]), larger(most_of[3], most_of[7]));
-  const double each = larger(even, odd);
+  double each = 0;
+  for (size_t i = 0; i < GATHER_LANES; i++) {
+    each = larger(each, most_of[i / WIDE][i % WIDE]);
+  }
   return each < top ? each : top;
 }
 
@@ -247,23 +261,27 @@ static double total(const double sum[GATHER_LANES]) {
 
 static double sum(size_t n, const double *power, const double *R) {
   const lanes *powers = (const lanes *)power, *values = (const lanes *)R;
-  _Alignas(64) double added[GATHER_LANES] = {0};
-  for (size_t i = 0; i < n / GATHER_LANES; i++) {
-    const lanes product = powers[i] * values[i];
-    *(lanes *)added += (lanes)((lane_bits)product & (powers[i] > 0));
+  lanes added[VECTORS] = {{0}};
+  for (size_t i = 0; i < n / WIDE; i += VECTORS) {
+    for (size_t k = 0; k < VECTORS; k++) {
+      const lanes product = powers[i + k] * values[i + k];
+      added[k] += (lanes)((lane_bits)product & (powers[i + k] > 0));
+    }
   }
-  return total(added);
+  return total((const double *)added);
 }
 
 static double sum_pairs(size_t n, const double *power, const double *share, const double *R) {
   const lanes *powers = (const lanes *)power, *shares = (const lanes *)share,
               *firsts = (const lanes *)R, *seconds = (const lanes *)(R + n);
-  _Alignas(64) double added[GATHER_LANES] = {0};
-  for (size_t i = 0; i < n / GATHER_LANES; i++) {
-    const lanes product = powers[i] * (shares[i] * firsts[i] + (1 - shares[i]) * seconds[i]);
-    *(lanes *)added += (lanes)((lane_bits)product & (powers[i] > 0));
+  lanes added[VECTORS] = {{0}};
+  for (size_t i = 0; i < n / WIDE; i += VECTORS) {
+    for (size_t k = i; k < i + VECTORS; k++) {
+      const lanes product = powers[k] * (shares[k] * firsts[k] + (1 - shares[k]) * seconds[k]);
+      added[k - i] += (lanes)((lane_bits)product & (powers[k] > 0));
+    }
   }
-  return total(added);
+  return total((const double *)added);
 }
 
 /* ---- all queries of a cell ------------------------------------------------------------------- */
@@ -325,10 +343,45 @@ static void add_close_pairs(size_t count, const double *restrict power, size_t q
   }
 }
 
+#ifdef __AVX2__
+/* CLOSE radii fill a register. pick() returns words[i] for each index i, from 0 to CLOSE - 1, and
+ * pick_of_two() the same for indices up to 2 CLOSE - 1. */
 #ifdef __AVX512F__
-typedef float reals __attribute__((vector_size(4 * GATHER_CLOSE), may_alias));
-typedef int32_t ints __attribute__((vector_size(4 * GATHER_CLOSE), may_alias));
-typedef uint32_t naturals __attribute__((vector_size(4 * GATHER_CLOSE), may_alias));
+enum { CLOSE = 16 };
+#else
+enum { CLOSE = 8 };
+#endif
+typedef float reals __attribute__((vector_size(4 * CLOSE), may_alias));
+typedef int32_t ints __attribute__((vector_size(4 * CLOSE), may_alias));
+typedef uint32_t naturals __attribute__((vector_size(4 * CLOSE), may_alias));
+
+#ifdef __AVX512F__
+static inline ints pick(const float *words, ints index) {
+  return (ints)_mm512_permutexvar_epi32((__m512i)index, _mm512_loadu_si512(words));
+}
+
+static inline reals pick_of_two(const float *words, ints index) {
+  return (reals)_mm512_permutex2var_ps(_mm512_loadu_ps(words), (__m512i)index,
+                                       _mm512_loadu_ps(words + CLOSE));
+}
+
+static inline bool has_any(ints words, int32_t bits) {
+  return _mm512_test_epi32_mask((__m512i)words, _mm512_set1_epi32(bits)) != 0;
+}
+#else
+static inline ints pick(const float *words, ints index) {
+  return (ints)_mm256_permutevar8x32_ps(_mm256_loadu_ps(words), (__m256i)index);
+}
+
+static inline reals pick_of_two(const float *words, ints index) {
+  const reals low = (reals)pick(words, index), high = (reals)pick(words + CLOSE, index);
+  return (reals)_mm256_blendv_ps((__m256)low, (__m256)high, (__m256)(index << 28));
+}
+
+static inline bool has_any(ints words, int32_t bits) {
+  return _mm256_testz_si256((__m256i)words, _mm256_set1_epi32(bits)) == 0;
+}
+#endif
 
 /* Keeps the entries of the octaves and the pieces around the first radius in registers, and selects
  * each radius's own from there. */
@@ -336,41 +389,34 @@ static uint64_t look_up_close(const float *restrict table, const gather_pieces *
                               const float *restrict in, float *restrict out) {
   uint64_t missed = 0;
   const float from = table[CORE_LUT_FIRST_MM], to = table[CORE_LUT_LAST_MM];
-  const float scale = table[CORE_LUT_SCALE];
-  for (size_t i = 0; i < n; i += GATHER_CLOSE) {
+  const int32_t mantissa = (1 << CORE_LUT_MANTISSA_BITS) - 1, one = (int32_t)core_cells_bits(1);
+  for (size_t i = 0; i < n; i += CLOSE) {
     const reals r = *(const reals *)(in + i);
     const ints bits = (ints)r;
     const int32_t octave =
-        ((int32_t)core_cells_bits(in[i]) >> CORE_LUT_MANTISSA_BITS & 0xff) - GATHER_CLOSE / 2;
+        ((int32_t)core_cells_bits(in[i]) >> CORE_LUT_MANTISSA_BITS & 0xff) - CLOSE / 2;
     const ints place = (bits >> CORE_LUT_MANTISSA_BITS) - octave;
-    const ints entry = (ints)_mm512_permutexvar_epi32(
-        (__m512i)place, _mm512_loadu_si512(table + CORE_LUT_R_OCTAVES + octave));
+    const ints entry = pick(table + CORE_LUT_R_OCTAVES + octave, place);
     const ints shift = entry & 31;
-    const ints mantissa = bits & ((1 << CORE_LUT_MANTISSA_BITS) - 1);
-    const ints index = mantissa >> shift;
-    const ints rest = mantissa - (index << shift);
-    const reals unit = (reals)((127 - shift) << CORE_LUT_MANTISSA_BITS);
-    const reals t = __builtin_convertvector(rest, reals) * unit;
-    const ints piece = (ints)((naturals)entry >> 5) + index;
-    const int32_t first = piece[0] - GATHER_CLOSE;
+    const ints piece = (ints)((naturals)entry >> 5) + ((bits & mantissa) >> shift);
+    const int32_t first = piece[0] - CLOSE;
     const ints own = piece - first;
-    /* The comparison is unsigned: negative numbers become large. */
-    const ints off = ((naturals)place >= GATHER_CLOSE) | ((naturals)own >= 2 * GATHER_CLOSE) |
-                     (r < from) | (r >= to);
-    if (_mm512_movepi32_mask((__m512i)off) != 0) {
+    /* place has to be less than CLOSE, and own less than twice that. */
+    if (has_any((2 * place) | own | (r < from) | (r >= to), -2 * CLOSE)) {
       missed |= (uint64_t)1 << i / GATHER_CLOSE;
       continue;
     }
+    /* t in [0, 1) has the bits of the mantissa that are below those of the piece. */
+    const ints rest = bits << (CORE_LUT_MANTISSA_BITS - shift);
+    const reals t = (reals)((rest & mantissa) | one) - 1;
     reals c[CORE_LUT_TERMS];
     for (size_t k = 0; k < CORE_LUT_TERMS; k++) {
-      const float *row = pieces->first + k * pieces->stride + first;
-      c[k] = (reals)_mm512_permutex2var_ps(_mm512_loadu_ps(row), (__m512i)own,
-                                           _mm512_loadu_ps(row + GATHER_CLOSE));
+      c[k] = pick_of_two(pieces->first + k * pieces->stride + first, own);
     }
     const ints back = (ints)c[0] < 0;
     const reals w = (reals)((back & (ints)(1 - t)) | (~back & (ints)t));
     const reals start = (reals)((ints)c[0] & 0x7fffffff);
-    *(reals *)(out + i) = (start + w * (c[1] + w * (c[2] + w * c[3]))) * scale;
+    *(reals *)(out + i) = (start + w * (c[1] + w * (c[2] + w * c[3]))) * table[CORE_LUT_SCALE];
   }
   return missed;
 }
