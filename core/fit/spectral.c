@@ -6,6 +6,7 @@
 
 #include "core/fit/search.h"
 #include "core/kernels.h"
+#include "core/tissue/tissue.h"
 
 #define CORE_REAL 64
 #include "core/kernel.h"
@@ -59,6 +60,7 @@ struct core_spectral {
   const core_fit *fit;
   size_t wavelengths, places, count; /* count: of readings */
   size_t chromophores, unknowns, oxy, deoxy;
+  double rayleigh_share, vessel_radius_mm;
   core_spectral_term terms[CORE_SPECTRAL_TERMS_MAX]; /* amounts, ln a and b */
   size_t term_of[MOST];
   double low[MOST], high[MOST];  /* of the unknowns x: amounts, ln a and b */
@@ -70,10 +72,12 @@ struct core_spectral {
   struct minimum starts[STARTS], minima[STARTS];
   struct quadratic now;
   double damping;
-  /* [wavelengths]: ln(wavelength / 500 nm); sigma_a and sigma_s' as they were evaluated last */
-  double *ln_wavelength, *sigma_a;
+  /* [wavelengths]: ln(wavelength / 500 nm); sigma_a and the derivative of ln sigma_s' by b as they were
+   * evaluated last */
+  double *ln_wavelength, *sigma_a, *by_b;
   struct fit_place *media;
-  double *absorption; /* [wavelengths][chromophores] */
+  /* [wavelengths][chromophores]: absorption, and derivatives of sigma_a by the amounts */
+  double *absorption, *by_amount;
   /* [count]: the model's values, and derivatives by ln_ratio and by ln_scattering; logarithms of the
    * readings and of the model, or numerical errors */
   double *model, *by_ratio, *by_scattering, *ln_values, *ln_model;
@@ -123,7 +127,7 @@ core_spectral *core_spectral_create(const core_spectral_design *design, size_t p
   const size_t wavelengths = design->wavelength_count, count = wavelengths * places;
   const size_t chromophores = design->chromophore_count;
   core_spectral *of = malloc(sizeof *of);
-  double *numbers = malloc(((4 + chromophores) * wavelengths + 5 * count) * sizeof *numbers);
+  double *numbers = malloc(((5 + 2 * chromophores) * wavelengths + 5 * count) * sizeof *numbers);
   if (of == NULL || numbers == NULL) {
     free(of);
     free(numbers);
@@ -135,11 +139,15 @@ core_spectral *core_spectral_create(const core_spectral_design *design, size_t p
                         .chromophores = chromophores,
                         .oxy = design->oxy,
                         .deoxy = design->deoxy,
+                        .rayleigh_share = design->rayleigh_share,
+                        .vessel_radius_mm = design->vessel_radius_mm,
                         .ln_wavelength = numbers,
                         .sigma_a = numbers + wavelengths,
                         .media = (struct fit_place *)(void *)(numbers + 2 * wavelengths),
-                        .absorption = numbers + 4 * wavelengths};
-  of->model = of->absorption + chromophores * wavelengths;
+                        .by_b = numbers + 4 * wavelengths,
+                        .absorption = numbers + 5 * wavelengths};
+  of->by_amount = of->absorption + chromophores * wavelengths;
+  of->model = of->by_amount + chromophores * wavelengths;
   of->by_ratio = of->model + count;
   of->by_scattering = of->by_ratio + count;
   of->ln_values = of->by_scattering + count;
@@ -187,6 +195,47 @@ static double term_at(const core_spectral *of, const double *x, size_t i) {
   return of->terms[i].start;
 }
 
+/* Returns the derivative of the absorption of blood in vessels by the amount `own` of one haemoglobin,
+ * which absorbs per_mm; the other's follow. It is C m + e^-x other (per_mm - other_per_mm) / total,
+ * with m the mean of both and x = 2 r m of whole blood. */
+static double by_haemoglobin(double radius_mm, double own, double per_mm, double other,
+                             double other_per_mm) {
+  const double total = own + other;
+  const double share = total > 0 ? other / total : 0;
+  const double change = share * (per_mm - other_per_mm), mean = per_mm - change;
+  const double x = 2 * radius_mm * CORE_BLOOD_UM * mean, packaging = core_packaging_of(x);
+  return packaging * mean + (1 - x * packaging) * change;
+}
+
+/* Sets the derivatives of sigma_a by the amounts, whose products with the amounts add up to it. */
+static void set_absorption(const core_spectral *of, size_t l, const double *amounts) {
+  const size_t n = of->chromophores, oxy = of->oxy, deoxy = of->deoxy;
+  const double *own = of->absorption + l * n, radius_mm = of->vessel_radius_mm;
+  double *by = of->by_amount + l * n;
+  memcpy(by, own, n * sizeof *by);
+  const double hbo2 = oxy < n ? amounts[oxy] : 0, hbo2_per_mm = oxy < n ? own[oxy] : 0;
+  const double hb = deoxy < n ? amounts[deoxy] : 0, hb_per_mm = deoxy < n ? own[deoxy] : 0;
+  if (radius_mm > 0 && oxy < n) {
+    by[oxy] = by_haemoglobin(radius_mm, hbo2, hbo2_per_mm, hb, hb_per_mm);
+  }
+  if (radius_mm > 0 && deoxy < n) {
+    by[deoxy] = by_haemoglobin(radius_mm, hb, hb_per_mm, hbo2, hbo2_per_mm);
+  }
+}
+
+/* Returns ln sigma_s', and sets its derivative by b. */
+static double ln_scattering_of(const core_spectral *of, size_t l, double ln_a, double b) {
+  const double ln = of->ln_wavelength[l], share = of->rayleigh_share;
+  if (share > 0) {
+    const double mie = (1 - share) * real_exp_signed(-b * ln);
+    const double both = share * real_exp_signed(-4 * ln) + mie;
+    of->by_b[l] = -ln * mie / both;
+    return ln_a + fit_ln(both);
+  }
+  of->by_b[l] = -ln;
+  return fma(-b, ln, ln_a);
+}
+
 /* Sets the media of x. Returns whether one is beyond those that are tried. */
 static bool set_media(core_spectral *of, const double *x) {
   const struct fit_place *least = &of->fit->least, *most = &of->fit->most;
@@ -198,10 +247,11 @@ static bool set_media(core_spectral *of, const double *x) {
   }
   for (size_t l = 0; l < of->wavelengths; l++) {
     double sigma_a = 0;
+    set_absorption(of, l, amounts);
     for (size_t i = 0; i < of->chromophores; i++) {
-      sigma_a = fma(amounts[i], of->absorption[l * of->chromophores + i], sigma_a);
+      sigma_a = fma(amounts[i], of->by_amount[l * of->chromophores + i], sigma_a);
     }
-    const double ln_scattering = fma(-b, of->ln_wavelength[l], ln_a);
+    const double ln_scattering = ln_scattering_of(of, l, ln_a, b);
     const double ln_ratio = fit_ln(sigma_a) - ln_scattering;
     const struct fit_place place = {
         clamp(ln_ratio, least->ln_ratio, most->ln_ratio),
@@ -221,11 +271,10 @@ struct chain {
 
 static struct chain chain_of(const core_spectral *of, size_t l, size_t k) {
   const size_t i = of->term_of[k];
-  const double ln = of->ln_wavelength[l];
   return i < of->chromophores
-             ? (struct chain){of->absorption[l * of->chromophores + i] / of->sigma_a[l], 0}
+             ? (struct chain){of->by_amount[l * of->chromophores + i] / of->sigma_a[l], 0}
          : i == of->chromophores ? (struct chain){-1, 1}
-                                 : (struct chain){ln, -ln};
+                                 : (struct chain){-of->by_b[l], of->by_b[l]};
 }
 
 /* A residual, and the derivatives of what it is a difference to, by ln_ratio, ln_scattering and

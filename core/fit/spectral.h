@@ -2,9 +2,11 @@
  *
  * At the wavelength l, in nm, a medium has
  *
- *   sigma_a = sum over i of amount_i absorption_i(l)     sigma_s' = a (l / 500)^-b
+ *   sigma_a = sum over i of amount_i absorption_i(l)
+ *   sigma_s' = a (f (l / 500)^-4 + (1 - f) (l / 500)^-b)
  *
- * (Jacques 2013, Eqs. 12 and 1). Amounts, a and b are given or sought. g and eta are those of the
+ * (Jacques 2013, Eqs. 12, 1 and 2), where haemoglobin in vessels absorbs less (core_tissue_packaging()).
+ * f and the vessels are given; amounts, a and b are given or sought. g and eta are those of the
  * places, whose design (core/fit/fit.h, with of_spectra) evaluates R for all wavelengths.
  *
  * Method: chi-squared = sum ((value - factor R) / error)^2 is minimized by Levenberg's and
@@ -40,7 +42,9 @@ typedef struct core_spectral_design {
   const double *absorption_per_mm;
   /* [chromophore_count + 2]: amounts, at least 0; then a in 1/mm, above 0; then b */
   const core_spectral_term *terms;
-  size_t oxy, deoxy; /* positions of oxyhaemoglobin and haemoglobin; chromophore_count: none */
+  size_t oxy, deoxy;     /* positions of oxyhaemoglobin and haemoglobin; chromophore_count: none */
+  double rayleigh_share; /* f, 0 to 1 */
+  double vessel_radius_mm; /* that holds both, at least 0 */
 } core_spectral_design;
 
 /* What was found of a term, of the saturation or of the total: FITTED; UNDETERMINED (the value is

@@ -137,15 +137,18 @@ core_fault core_tissue_check(const core_tissue *tissue) {
   return (core_fault){0};
 }
 
+double core_packaging_of(double x) {
+  /* below 1e-3, the next term of the series is below epsilon / 10 */
+  return x < 1e-3 ? 1 - x / 2 * (1 - x / 3 * (1 - x / 4 * (1 - x / 5))) : (1 - fn_exp(-x)) / x;
+}
+
 double core_tissue_packaging(const core_tissue *tissue, double hbo2_per_mm, double hb_per_mm) {
   const double hbo2 = tissue->value[CORE_PROPERTY_HBO2], hb = tissue->value[CORE_PROPERTY_HB];
   if (hbo2 + hb == 0) {
     return 1;
   }
   const double whole = CORE_BLOOD_UM * (hbo2 * hbo2_per_mm + hb * hb_per_mm) / (hbo2 + hb);
-  const double x = 2 * tissue->value[CORE_PROPERTY_VESSEL_RADIUS] * whole;
-  /* below 1e-3, the next term of the series is below epsilon / 10 */
-  return x < 1e-3 ? 1 - x / 2 * (1 - x / 3 * (1 - x / 4 * (1 - x / 5))) : (1 - fn_exp(-x)) / x;
+  return core_packaging_of(2 * tissue->value[CORE_PROPERTY_VESSEL_RADIUS] * whole);
 }
 
 static double power_of(double ratio, double exponent) {

@@ -60,4 +60,7 @@ core_fault core_chromophore_at(enum core_property chromophore, enum core_haemogl
 #define CORE_BLOOD_UM 2326 /* 150 g/L of 64500 g/mol */
 double core_tissue_packaging(const core_tissue *tissue, double hbo2_per_mm, double hb_per_mm);
 
+/* Returns (1 - e^-x) / x for x from 0 on. */
+double core_packaging_of(double x);
+
 #endif

@@ -203,12 +203,6 @@ static core_fault find_absorption(const struct tissue_fit *of, double *absorptio
     }
     fault.index = l;
   }
-  if (fault.field == NULL && of->tissue.value[CORE_PROPERTY_RAYLEIGH] > 0) {
-    return (core_fault){"rayleigh_share", "0 in a fit", 0};
-  }
-  if (fault.field == NULL && of->tissue.value[CORE_PROPERTY_VESSEL_RADIUS] > 0) {
-    return (core_fault){"vessel_radius_mm", "0 in a fit", 0};
-  }
   return fault;
 }
 
@@ -233,7 +227,9 @@ static wire_error prepare_search(struct tissue_fit *of) {
                                  .chromophore_count = of->term_count - 2,
                                  .terms = terms,
                                  .oxy = term_of_property(of, CORE_PROPERTY_HBO2),
-                                 .deoxy = term_of_property(of, CORE_PROPERTY_HB)};
+                                 .deoxy = term_of_property(of, CORE_PROPERTY_HB),
+                                 .rayleigh_share = of->tissue.value[CORE_PROPERTY_RAYLEIGH],
+                                 .vessel_radius_mm = of->tissue.value[CORE_PROPERTY_VESSEL_RADIUS]};
   core_fault fault = core_tissue_check(&of->tissue);
   if (fault.field == NULL) {
     fault = core_spectral_check(&design, of->fixed.place_count, of->fixed.scale);

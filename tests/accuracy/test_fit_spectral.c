@@ -21,6 +21,7 @@ struct instrument {
   double g, at[PLACES], nm[BANDS], absorption[BANDS * CHROMOPHORES];
   double error; /* relative, but of phases in degrees times 30 */
   double mhz[PLACES], quantity[PLACES];
+  double rayleigh_share, vessel_radius_mm;
   core_spectral_term terms[TERMS];
   core_fit *fit;
   core_spectral *spectral;
@@ -66,7 +67,9 @@ static void prepare(struct instrument *of) {
                                          .absorption_per_mm = of->absorption,
                                          .terms = of->terms,
                                          .oxy = HBO2,
-                                         .deoxy = HB};
+                                         .deoxy = HB,
+                                         .rayleigh_share = of->rayleigh_share,
+                                         .vessel_radius_mm = of->vessel_radius_mm};
   unit_assert_fault(core_fit_create(&of->fit, core_isa_select(NULL), &design), NULL, 0);
   unit_assert_fault(core_spectral_check(&spectral, of->places, of->scale), NULL, 0);
   of->spectral = core_spectral_create(&spectral, of->places);
@@ -110,12 +113,15 @@ static double error_of(const struct instrument *of, size_t i, double value) {
 }
 
 static core_medium medium_at(const struct instrument *of, const double *terms, size_t l) {
-  const double scattering = terms[A] * pow(of->nm[l] / 500, -terms[B]);
-  core_medium medium = {0, scattering / (1 - of->g), of->g, 1.4, 0};
-  for (size_t i = 0; i < CHROMOPHORES; i++) {
-    medium.sigma_a_per_mm += terms[i] * of->absorption[l * CHROMOPHORES + i];
-  }
-  return medium;
+  const double ratio = of->nm[l] / 500, share = of->rayleigh_share;
+  const double scattering =
+      terms[A] * (share * pow(ratio, -4) + (1 - share) * pow(ratio, -terms[B]));
+  const double *own = &of->absorption[l * CHROMOPHORES], total = terms[HBO2] + terms[HB];
+  const double blood = terms[HBO2] * own[HBO2] + terms[HB] * own[HB];
+  const double x = 2 * of->vessel_radius_mm * 2326 * blood / total; /* 2326 uM: whole blood */
+  const double sigma_a =
+      (x > 0 ? -expm1(-x) / x : 1) * blood + terms[WATER] * own[WATER] + terms[FAT] * own[FAT];
+  return (core_medium){sigma_a, scattering / (1 - of->g), of->g, 1.4, 0};
 }
 
 /* Sets R[bands][places]. */
@@ -272,6 +278,16 @@ UNIT_TEST(amounts_scatter_as_the_readings_allow) {
   of.axis = CORE_FIT_AXIS_FREQUENCY;
   memcpy(of.at, frequencies, sizeof frequencies);
   expect_scatter(of, sets, 3000);
+}
+
+UNIT_TEST(amounts_in_vessels_scatter_as_readings_of_green_light_allow) {
+  static const double near_mm[] = {0.5, 1, 2, 4};
+  static const double nm[] = {520, 542, 560, 576, 600, 650, 730, 800, 850, 910, 930, 970};
+  struct instrument of = instrument(nm, 12);
+  memcpy(of.at, near_mm, sizeof near_mm);
+  of.rayleigh_share = 0.3;
+  of.vessel_radius_mm = 0.02;
+  expect_scatter(of, 500, 9000);
 }
 
 /* Amplitudes and phases at 100 MHz, at 30, 25, ... mm, in 1 % and .3 degrees. */

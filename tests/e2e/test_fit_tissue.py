@@ -73,6 +73,20 @@ def test_amplitudes_and_phases_are_fitted_without_their_scale(daemon):
         assert [each["value"] for each in reply["estimates"]] == [e["value"] for e in fits.estimates.values()]
 
 
+def test_vessels_and_a_rayleigh_share_that_are_given(daemon):
+    """Green light through vessels of 20 um; a fit without them finds less blood."""
+    with daemon().client() as client:
+        nm, known = [520, 542, 560, 576, 600, 650], {"rayleigh_share": 0.3, "vessel_radius_mm": 0.02, "water_fraction": 0.6}
+        truth = {"hbo2_uM": 56, "hb_uM": 24, "a_per_mm": 1.9, "b": 1.2}
+        R = client.eval("transport", client.tissue(nm, properties=truth | known), [0.5, 1, 2], evaluator="f64").R
+        found = client.fit_tissue(list(truth), nm, [0.5, 1, 2], R, 0.01 * R, properties=known)
+        assert found.status() == "fitted"
+        for name, value in truth.items():
+            assert found.estimates[name]["value"] == pytest.approx(value, rel=0.01)
+        spread = client.fit_tissue(list(truth), nm, [0.5, 1, 2], R, 0.01 * R, properties=known | {"vessel_radius_mm": 0})
+        assert spread.sets["total"] < 0.8 * found.sets["total"] and spread.sets["chi_squared"] > 10
+
+
 def test_another_table_of_haemoglobin_gives_other_amounts(daemon):
     """Fitting with Prahl's table what UCL's has made: the total is a tenth too high (Jacques' R49 to R57
     and UCL's numbers), and the reply says which table it is."""
