@@ -31,18 +31,6 @@ const core_choice core_fit_axes[] = {CORE_EACH_FIT_AXIS(ENTRY, ) END};
 const core_choice core_fit_statuses[] = {CORE_EACH_FIT_STATUS(ENTRY, ) END};
 const core_choice core_value_statuses[] = {CORE_EACH_VALUE(ENTRY, ) END};
 
-bool core_quantity_elementwise(unsigned bit) {
-  enum { ELEMENTWISE = 1, COMPARED = 1, DERIVED = 1, CHANNEL = 0, RADII = 0 };
-  switch (bit) {
-#define SHAPE_OF(P, bit, IDENT, name, unit, SHAPE)                                                 \
-  case bit:                                                                                        \
-    return SHAPE;
-    CORE_EACH_QUANTITY(SHAPE_OF, )
-  default:
-    return false;
-  }
-}
-
 size_t core_evaluator_bytes(unsigned evaluator) {
   switch (evaluator) {
 #define BYTES_OF(P, id, IDENT, name, about, number)                                                \

@@ -108,11 +108,24 @@ unsigned core_name_distance(const char *a, const char *b);
  * and has no model error. */
 bool core_solves(unsigned model);
 
-/* True for quantities with one value for each radius and channel. bit: of enum core_quantity. */
-bool core_quantity_elementwise(unsigned bit);
-
-/* The quantities that need no radii. */
-enum { CORE_OF_CHANNEL = CORE_QUANTITY_ALBEDO | CORE_QUANTITY_MODEL_ERROR | CORE_QUANTITY_BALANCE };
+/* The quantities of a shape, of those that core/choices.def says. */
+enum core_shape {
+  CORE_SHAPE_ELEMENTWISE = 1,
+  CORE_SHAPE_MULTIPLE = 2,
+  CORE_SHAPE_DERIVED = 4,
+  CORE_SHAPE_COMPARED = 8,
+  CORE_SHAPE_CHANNEL = 16,
+  CORE_SHAPE_RADII = 32
+};
+#define CORE_OF_SHAPE(shapes, bit, IDENT, name, unit, SHAPE, about)                                \
+  +((CORE_SHAPE_##SHAPE & (shapes)) != 0 ? (bit) : 0)
+enum {
+  CORE_MULTIPLES = CORE_EACH_QUANTITY(CORE_OF_SHAPE, CORE_SHAPE_MULTIPLE),
+  /* with a value for each radius and channel */
+  CORE_ARRAYS = CORE_EACH_QUANTITY(CORE_OF_SHAPE, ~(CORE_SHAPE_CHANNEL | CORE_SHAPE_RADII)),
+  /* that need no radii */
+  CORE_OF_CHANNEL = CORE_EACH_QUANTITY(CORE_OF_SHAPE, CORE_SHAPE_CHANNEL)
+};
 
 /* Size in bytes of a radius or value of an evaluator: 8 or 4, or 0 if the id is unknown. */
 size_t core_evaluator_bytes(unsigned evaluator);
@@ -401,6 +414,12 @@ enum {
 
 /* The quantities at spatial frequencies, in place of radii. */
 enum { CORE_AT_FREQUENCIES = CORE_QUANTITY_TRANSFER | CORE_MODULATED_F };
+
+/* Whether all of the quantities (bits) with values are at frequencies, and there is one. */
+static inline bool core_is_at_frequencies(unsigned wanted) {
+  const unsigned values = wanted & CORE_ARRAYS & ~(unsigned)CORE_QUANTITY_MODEL_ERRORS;
+  return values != 0 && (values & ~(unsigned)CORE_AT_FREQUENCIES) == 0;
+}
 
 /* True if any of the quantities (bits) is a derivative of ln R, or follows from one. Their errors are
  * absolute. */

@@ -20,7 +20,7 @@ enum { CHUNK = 256 };
 
 static enum core_elementwise position(enum core_quantity quantity) {
   switch (quantity) {
-#define POSITION(P, bit, IDENT, name, unit, SHAPE)                                                 \
+#define POSITION(P, bit, IDENT, name, unit, SHAPE, about)                                          \
   CORE_IF_##SHAPE(case CORE_QUANTITY_##IDENT : return CORE_ELEMENTWISE_##IDENT;)
     CORE_EACH_QUANTITY(POSITION, )
   default:
@@ -107,10 +107,6 @@ struct multiple {
   bool by_radius;
 };
 
-static bool is_multiple(enum core_quantity quantity) {
-  return (quantity & (CORE_QUANTITY_S | CORE_QUANTITY_PDF | CORE_QUANTITY_RING)) != 0;
-}
-
 static struct multiple multiple_of(const core_profile *profile, enum core_quantity quantity) {
   const double two_pi = 6.28318530717958647693, albedo = profile->albedo;
   if (quantity == CORE_QUANTITY_S) {
@@ -169,7 +165,7 @@ void core_evaluate(const core_profile *profile, enum core_quantity quantity, siz
     core_paths_make(profile, quantity, n, r, out);
     return;
   }
-  if (is_multiple(quantity)) {
+  if ((quantity & CORE_MULTIPLES) != 0) {
     for (size_t done = 0; done < n; done += CHUNK) {
       const size_t count = smaller(n - done, CHUNK);
       core_evaluate(profile, CORE_QUANTITY_R, count, r + done, out + done);
@@ -249,7 +245,7 @@ void core_eval_f32(const core_profile *profile, enum core_quantity quantity, siz
     kernels[position(quantity)](core_coefficients_f32(profile), n, r, out);
   } else if (profile->source == NULL && core_is_narrow(profile) && quantity == CORE_QUANTITY_T) {
     memset(out, 0, n * sizeof *out);
-  } else if (kernels != NULL && is_multiple(quantity)) {
+  } else if (kernels != NULL && (quantity & CORE_MULTIPLES) != 0) {
     const struct multiple of = multiple_of(profile, quantity);
     kernels[CORE_ELEMENTWISE_R](core_coefficients_f32(profile), n, r, out);
     for (size_t i = 0; i < n; i++) {

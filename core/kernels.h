@@ -33,11 +33,12 @@ enum { CORE_ISA_LEVELS(CORE_ISA_INDEX, ) CORE_ISA_COUNT };
 
 /* Positions of the elementwise quantities, in the order of core/choices.def. */
 #define CORE_IF_ELEMENTWISE(...) __VA_ARGS__
+#define CORE_IF_MULTIPLE(...) __VA_ARGS__
 #define CORE_IF_CHANNEL(...)
 #define CORE_IF_RADII(...)
 #define CORE_IF_COMPARED(...)
 #define CORE_IF_DERIVED(...)
-#define CORE_ELEMENTWISE(P, bit, IDENT, name, unit, SHAPE) CORE_IF_##SHAPE(P##_##IDENT, )
+#define CORE_ELEMENTWISE(P, bit, IDENT, name, unit, SHAPE, about) CORE_IF_##SHAPE(P##_##IDENT, )
 enum core_elementwise {
   CORE_EACH_QUANTITY(CORE_ELEMENTWISE, CORE_ELEMENTWISE) CORE_ELEMENTWISE_COUNT
 };

@@ -62,7 +62,7 @@ static double error_of_R(const core_model_errors *errors, const core_medium *med
 }
 
 enum {
-  LIKE_R = CORE_QUANTITY_R | CORE_QUANTITY_RING | CORE_QUANTITY_S,
+  LIKE_R = CORE_QUANTITY_R | (CORE_MULTIPLES & ~CORE_QUANTITY_PDF),
   AT_RADII = LIKE_R | CORE_QUANTITY_LN_R | CORE_QUANTITY_PDF,
 };
 

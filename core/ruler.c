@@ -23,7 +23,7 @@ bool core_ruler_is_needed(unsigned model, const core_parameters *parameters,
 
 enum {
   COMPARED = CORE_QUANTITY_R | CORE_QUANTITY_CDF | CORE_QUANTITY_SLOPE | CORE_QUANTITY_LN_R |
-             CORE_QUANTITY_PDF | CORE_QUANTITY_RING | CORE_QUANTITY_TRANSFER,
+             (CORE_MULTIPLES & ~CORE_QUANTITY_S) | CORE_QUANTITY_TRANSFER,
 };
 
 /* Returns the relative error of a value. least: absolute differences below this count as

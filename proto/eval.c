@@ -6,7 +6,7 @@
 
 bool eval_is_array(unsigned wanted, unsigned quantity) {
   const bool drawn = quantity == CORE_QUANTITY_RADIUS && (wanted & EVAL_DRAWN) != 0;
-  return (wanted & quantity) != 0 && (drawn || core_quantity_elementwise(quantity));
+  return (wanted & quantity) != 0 && (drawn || (quantity & CORE_ARRAYS) != 0);
 }
 
 /* Takes what follows the structure of a request to eval or to sample. listed: whether the radii or

@@ -66,15 +66,6 @@ const schema_structure schema_structures[SCHEMA_STRUCTURES] = {
                  #name " has gaps");
 #include "proto/messages.def"
 
-/* The quantities that have an array for each channel. */
-#define BIT_OF_ELEMENTWISE(bit) bit
-#define BIT_OF_COMPARED(bit) bit
-#define BIT_OF_DERIVED(bit) bit
-#define BIT_OF_CHANNEL(bit) 0
-#define BIT_OF_RADII(bit) 0
-#define OR_BIT(P, bit, IDENT, name, unit, SHAPE) | BIT_OF_##SHAPE(bit)
-enum { ELEMENTWISE = 0 CORE_EACH_QUANTITY(OR_BIT, ) };
-
 #define STRUCTURE(name) &schema_structures[SCHEMA_STRUCTURE_##name]
 #define BEGINS_ONE(one) .structures = {STRUCTURE(one)}, .fixed_bytes = WIRE_BYTES_##one
 #define BEGINS_TWO(one, two)                                                                       \

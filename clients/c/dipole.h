@@ -259,50 +259,69 @@ enum dipole_evaluator {
                      above 0.1 counts as 0.1. */
 };
 enum dipole_moments { DIPOLE_EXACT = 1, DIPOLE_FIT = 2, DIPOLE_JENSEN = 3 };
+/* Errors are relative, but those of ln R, its derivatives, paths, modulated light and the balance are
+ * absolute: of ln R the numerical error plus 8 epsilon |ln R|, of R_f the numerical error times the
+ * albedo. With quantities that end with _f the radii are spatial frequencies of striped light in 1/mm.
+ *
+ * Derivatives of ln R, by ln sigma_a and ln sigma_s (or sigma_s') at fixed r, g and eta, are 0 where R
+ * is 0. Dipoles, Burley's models, single scattering, the sums of dipoles and it, and transport have them
+ * and, if sigma_a is above 0, paths; all of them but Burley's models have modulated light. Of layers they
+ * are those of the parameter derivative_layer. The time is by the parameter index, else eta. The lag is
+ * not reduced to a circle; the modulation is relative to that of the light that enters.
+ *
+ * The albedo, model_error and the balance are in dipole_channel. Finding model_error takes a millisecond
+ * for each new medium, and microseconds after that, which a query that leaves it out does not pay.
+ * model_errors are of the other quantities that are wanted (of R, if there is none); for a medium that
+ * transport solves they take seconds, and model_error is then known as well. */
 enum dipole_quantity {
-  DIPOLE_R = 1,      /* 1/mm^2 per unit of power that entered */
-  DIPOLE_ALBEDO = 2, /* the integral of 2 pi r R(r), one value for each medium */
-  DIPOLE_CDF = 4,    /* the power that leaves within r over all power that leaves, 0 to 1 */
-  DIPOLE_RADIUS = 8, /* the radii in mm, one array for all media */
-  DIPOLE_SLOPE = 16, /* dR/dr, 1/mm^3 */
-  DIPOLE_LN_R = 32,  /* ln of R in 1/mm^2, finite even where R underflows. Its error is absolute:
-                        the numerical error plus 8 epsilon |ln R|. */
-  DIPOLE_PDF = 64,   /* the density of radii, 2 pi r R over the albedo, 1/mm */
-  DIPOLE_RING = 128, /* 2 pi r R, 1/mm: the power that leaves per mm of radius. It is finite even
-                        where R is infinite at r = 0. */
-  DIPOLE_S = 256,    /* the BSSRDF, 1/(mm^2 sr), for the parameters cos_in and cos_out */
-  /* The reflectance for striped light: the radii are spatial frequencies f in 1/mm. It is the
-   * Hankel transform of R(r), and the albedo at f = 0. Its error is the numerical error times the
-   * albedo. */
+  /* quantities: begin */
+  /* R, 1/mm^2: per unit of power that entered */
+  DIPOLE_R = 1,
+  /* albedo, 1: integral of 2_pi_r_R */
+  DIPOLE_ALBEDO = 2,
+  /* cdf, 1: share of the albedo within r */
+  DIPOLE_CDF = 4,
+  /* r, mm: for all channels */
+  DIPOLE_RADIUS = 8,
+  /* dR_dr, 1/mm^3 */
+  DIPOLE_SLOPE = 16,
+  /* ln_R, ln(1/mm^2): finite where R underflows */
+  DIPOLE_LN_R = 32,
+  /* pdf, 1/mm: derivative of the cdf */
+  DIPOLE_PDF = 64,
+  /* 2_pi_r_R, 1/mm: finite at 0 */
+  DIPOLE_RING = 128,
+  /* S, 1/(mm^2 sr): BSSRDF */
+  DIPOLE_S = 256,
+  /* R_f, 1: integral of 2_pi_r_R J0(2 pi f r) */
   DIPOLE_TRANSFER = 512,
-  /* The derivatives of ln R by ln sigma_a and by ln sigma_s (or sigma_s') at fixed r, g and eta, for
-   * fits. Both are 0 where R is 0. Their errors are absolute. Dipoles, Burley's models, single
-   * scattering, the sums of dipoles and it, and transport have them. */
+  /* dlnR_dln_sigma_a, 1: for fits */
   DIPOLE_BY_SIGMA_A = 1024,
+  /* dlnR_dln_sigma_s, 1: for fits */
   DIPOLE_BY_SIGMA_S = 2048,
-  /* dipole_channel.model_error. Finding it takes a millisecond for each new medium, and microseconds
-   * after that, which a query that leaves it out does not pay. */
+  /* model_error, 1: the largest */
   DIPOLE_MODEL_ERROR = 4096,
-  /* The model error at each radius, of the other quantities that are wanted (of R, if there is none).
-   * For a medium that transport solves, it has it solved, which takes seconds; dipole_channel.model_error
-   * is then known as well. */
+  /* model_errors, 1: of each radius */
   DIPOLE_MODEL_ERRORS = 8192,
-  DIPOLE_T = 16384, /* as R, of the light that leaves below the last layer; with transport */
-  /* The mean length of the paths in the medium of the light that leaves at r, mm, for models with
-   * derivatives and sigma_a above 0: -(d ln R / d sigma_a). Of layers it is that within the layer of
-   * the parameter derivative_layer. Then it over r, and the mean time on these paths in ps, by the
-   * parameter index (else eta). Their errors are absolute. */
+  /* T, 1/mm^2: as R, below the last layer: transport; 0 below half spaces */
+  DIPOLE_T = 16384,
+  /* path, mm: mean length */
   DIPOLE_PATH = 32768,
+  /* dpf, 1: path/r */
   DIPOLE_DPF = 65536,
+  /* time, ps: by the index */
   DIPOLE_TIME = 131072,
-  /* How many degrees light lags that is modulated with the frequency of the parameter mhz, not
-   * reduced to a circle, and its amplitude over the mean, relative to that of the light that enters;
-   * for dipoles, single, their sums and transport. Their errors are absolute. */
-  DIPOLE_LAG = 262144, /* phase */
+  /* phase, degrees: lag of modulated light */
+  DIPOLE_LAG = 262144,
+  /* modulation, 1: its amplitude */
   DIPOLE_MODULATION = 524288,
-  DIPOLE_BALANCE = 1048576, /* dipole_channel.balance, with transport; its errors are absolute */
-  DIPOLE_LAG_F = 2097152,   /* phase_f: the same of R_f, at spatial frequencies */
-  DIPOLE_MODULATION_F = 4194304
+  /* balance, 1: where power goes */
+  DIPOLE_BALANCE = 1048576,
+  /* phase_f, degrees: of R_f */
+  DIPOLE_LAG_F = 2097152,
+  /* modulation_f, 1: of R_f */
+  DIPOLE_MODULATION_F = 4194304,
+  /* quantities: end */
 };
 enum dipole_spacing { DIPOLE_LIST = 1, DIPOLE_LINEAR = 2, DIPOLE_LOGARITHMIC = 3 };
 

@@ -184,9 +184,7 @@ bool cli_eval_take_quantities(const cli_settings *settings, cli_eval_report *rep
     report->quantities.items[report->quantities.count++] =
         cli_choice_of_id(report->profile.info, DIPOLE_QUANTITY, DIPOLE_MODEL_ERRORS);
   }
-  const unsigned others =
-      report->quantities.wanted & ~(CLI_OF_CHANNEL | DIPOLE_RADIUS | DIPOLE_MODEL_ERRORS);
-  const bool by_f = others != 0 && (others & ~(unsigned)CORE_AT_FREQUENCIES) == 0;
+  const bool by_f = core_is_at_frequencies(report->quantities.wanted);
   report->place = by_f ? "f" : "r";
   if (at_f && !by_f) {
     return cli_fails_usage("--f gives spatial frequencies: request what ends with _f alone");
@@ -575,10 +573,6 @@ static void put_line(cli_rows *rows, const void *context, size_t index) {
   const cli_eval_report *report = of->report;
   const size_t channels = report->profile.channel_count, each = lines_of(report, true);
   const double *wavelengths_nm = lists_wavelengths(report) ? report->profile.wavelengths_nm : NULL;
-  /* Shares of 1, radii and logarithms are written without exponent; other values may have one. */
-  const unsigned plain = DIPOLE_RADIUS | DIPOLE_CDF | DIPOLE_LN_R | DIPOLE_BY_SIGMA_A |
-                         DIPOLE_BY_SIGMA_S | DIPOLE_PATH | DIPOLE_DPF | DIPOLE_TIME | DIPOLE_LAG |
-                         DIPOLE_MODULATION | CORE_MODULATED_F;
   if (wavelengths_nm != NULL) {
     cli_put_number(rows, wavelengths_nm[index], "wavelength", .unit = "nm");
   } else {
@@ -599,7 +593,7 @@ static void put_line(cli_rows *rows, const void *context, size_t index) {
     }
     if (array != NULL) {
       cli_put_number(rows, array[place], head, .unit = quantity->about,
-                     .format = (quantity->id & plain) != 0 ? "%.6g" : "%.4e",
+                     .format = strncmp(quantity->about, "1/", 2) == 0 ? "%.4e" : "%.6g",
                      .over = report->models[model].choice->name);
     }
   }

@@ -931,8 +931,7 @@ static int take_quantities(points_run *points) {
   if ((points->quantities.wanted & DIPOLE_BALANCE) != 0) {
     return cli_fail_usage("--wanted balance: rows have no room for its shares; use dipole eval");
   }
-  const unsigned others = points->quantities.wanted & ~(unsigned)DIPOLE_ALBEDO;
-  points->by_f = others != 0 && (others & ~(unsigned)CORE_AT_FREQUENCIES) == 0;
+  points->by_f = core_is_at_frequencies(points->quantities.wanted);
   if (settings->f.count > 0 && (settings->r.count > 0 || !points->by_f)) {
     return cli_fail_usage(
         "--f gives spatial frequencies, which only R_f has: request R_f alone, without --r");

@@ -30,7 +30,7 @@ PROGRAMS += $(BUILD)/wire-lists
 
 docs: $(BUILD)/wire-lists ## the tables in proto/*.md, from proto/*.def, and the manual pages
 	@sh .ci/install-packages docs
-	$(BUILD)/wire-lists | $(PYTHON) proto/tools/wire_tables.py proto/PROTOCOL.md proto/REGISTERS.md proto/SCPI.md clients/python/dipole/schema.py core/TISSUE.md
+	$(BUILD)/wire-lists | $(PYTHON) proto/tools/wire_tables.py .
 	@$(MAKE) --no-print-directory -j2 manuals
 
 # The manual pages stand among the sources, so that installing runs none of the built programs.

@@ -12,9 +12,7 @@ core_radii_range core_table_pieces(const core_profile *profile) {
 }
 
 bool core_table_has(enum core_quantity quantity) {
-  return quantity == CORE_QUANTITY_R || quantity == CORE_QUANTITY_CDF ||
-         quantity == CORE_QUANTITY_PDF || quantity == CORE_QUANTITY_RING ||
-         quantity == CORE_QUANTITY_S;
+  return (quantity & (CORE_QUANTITY_R | CORE_QUANTITY_CDF | CORE_MULTIPLES)) != 0;
 }
 
 /* Returns the exponent of the least radius of the samples. A peer may have sent any bits: the

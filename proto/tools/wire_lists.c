@@ -204,10 +204,10 @@ int main(void) {
 #define WIRE_STATUS(code, IDENT, modbus_exception, http, scpi, name, text)                         \
   print_form("[%u,'" #IDENT "',%u,%u,'" name "'],", U(code), U(modbus_exception), U(http));
 #include "proto/statuses.def"
-  print_form("0],'elementwise':[");
-  for (const core_choice *one = core_quantities; one->name != NULL; one++) {
-    print_form(core_quantity_elementwise(one->id) ? "%u," : "", U(one->id));
-  }
+  print_form("0],'quantities':[");
+#define QUANTITY(P, bit, IDENT, name, unit, SHAPE, about)                                          \
+  print_form("[%u,'" #IDENT "',%s,%s,'" #SHAPE "',%s],", U(bit), name, unit, about);
+  CORE_EACH_QUANTITY(QUANTITY, )
   print_form("0],'payloads':{");
 #define WIRE_PAYLOAD(name, ...) put_payload(&schema_##name);
 #include "proto/messages.def"

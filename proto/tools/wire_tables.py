@@ -1,9 +1,9 @@
-"""Writes the tables of the wire's structures and statuses into the blocks ```table NAMES of
-PROTOCOL.md, those of the register map and of SCPI between the markers of REGISTERS.md and SCPI.md,
-the messages, structures and lists for Python into schema.py, spectra into TISSUE.md, all from what
-wire-lists prints.
+"""Makes from what wire-lists prints: the tables of the wire's structures, quantities and statuses, in the
+blocks ```table NAMES of PROTOCOL.md, those of the register map and of SCPI between the markers of
+REGISTERS.md and SCPI.md, spectra in TISSUE.md, the messages, structures and lists for Python in schema.py,
+quantities in values.py and dipole.h. Reads these files in the current folder.
 
-usage: wire-lists | wire_tables.py PROTOCOL.md REGISTERS.md SCPI.md schema.py TISSUE.md
+usage: wire-lists | wire_tables.py FOLDER     writes them into FOLDER
 """
 
 import json
@@ -16,6 +16,7 @@ from pathlib import Path
 LISTS = json.load(sys.stdin)
 STRUCTURES = LISTS["structures"]
 STATUSES = LISTS["statuses"][:-1]
+QUANTITIES = LISTS["quantities"][:-1]
 PART_FIELDS = len(STRUCTURES["part"])
 
 
@@ -45,6 +46,8 @@ def table_of(name: str) -> str:
     if name == "statuses":
         rows = [f"{code:<4} {ident:<14} {http}" for code, ident, _, http, _ in STATUSES]
         return "\n".join(["code status         HTTP", *rows])
+    if name == "quantities":
+        return "\n".join(f"{bit:<7} {name:<16} {unit:<12} {about}".rstrip() for bit, _, name, unit, _, about in QUANTITIES)
     fields = STRUCTURES[name]
     rows = [f"{name} ({sum(field['bytes'] for field in fields)})"]
     begins_alike = fields[0]["name"] == "part" and len(fields) > PART_FIELDS
@@ -58,13 +61,12 @@ def table_of(name: str) -> str:
     return "\n".join(rows)
 
 
-def write_protocol(path: Path) -> None:
+def protocol_of(text: str) -> str:
     def fill(match: re.Match) -> str:
         tables = "\n\n".join(table_of(name) for name in match[1].split())
         return f"\n```table {match[1]}\n{tables}\n```"
 
-    text = path.read_text()
-    path.write_text(re.sub(r"\n```table ([^\n]*)\n.*?\n```", fill, text, flags=re.S))
+    return re.sub(r"\n```table ([^\n]*)\n.*?\n```", fill, text, flags=re.S)
 
 
 # ---- registers -----------------------------------------------------------------------------------
@@ -160,24 +162,23 @@ def scpi_text() -> str:
     return "\n".join(["| header | parameters | what it does |", "|---|---|---|", *rows, ""])
 
 
-def write_between(path: Path, tables: str, name: str = "tables") -> None:
-    begin, end = f"<!-- {name}: begin -->\n", f"<!-- {name}: end -->\n"
-    before, _, rest = path.read_text().partition(begin)
-    path.write_text(before + begin + tables + end + rest.partition(end)[2])
+def between(text: str, lines: str, name: str = "tables") -> str:
+    """Replaces the lines between those that say "NAME: begin" and "NAME: end"."""
+    found = rf"({name}: begin[^\n]*\n).*?([^\n]*{name}: end)"
+    return re.sub(found, lambda match: match[1] + lines + match[2], text, flags=re.S)
 
 
 PROPERTIES = [name for _, kind, entries in LISTS["lists"] if kind == "property" for _, name in entries]
 
 
-def write_spectra(path: Path) -> None:
+def spectra_text() -> str:
     rows: dict[str, list[str]] = {}
     for name, first, last, source, table in sorted(LISTS["spectra"], key=lambda one: PROPERTIES.index(one[0])):
         of_table = "" if table == "all" else f": {table}"
         rows.setdefault(f"{first}-{last} | {source}{of_table}", []).append(name)
-    table = "property | nm | source\n---|---|---\n" + "".join(
+    return "property | nm | source\n---|---|---\n" + "".join(
         f"{', '.join(names)} | {row}\n" for row, names in rows.items()
     )
-    write_between(path, table, "spectra")
 
 
 # ---- Python --------------------------------------------------------------------------------------
@@ -196,7 +197,7 @@ def block(name: str, comment: str, entries: dict) -> str:
     return f'{comment}{name} = """\\\n{rows}\n"""\n'
 
 
-def write_schema(path: Path) -> None:
+def schema_text() -> str:
     fields_of = lambda fields: ", ".join(
         f"{field['kind']} {field['name']}" + type_of(field)[len(field["kind"]):] for field in fields
     )
@@ -205,23 +206,52 @@ def write_schema(path: Path) -> None:
         "KINDS": {kind: name for kind, name, _ in LISTS["lists"]},
         "STATUSES": {code: name for code, *_, name in STATUSES},
     }
-    path.write_text("\n".join([
+    return "\n".join([
         '"""The messages, structures and lists of dipoled\'s protocol. `make docs` makes this file '
         'from proto/."""\n',
         *(filled(f"{name} = {entries}").replace("'", '"') + "\n" for name, entries in numbers.items()),
         "# quantities with a value for each radius and channel, in the order of a reply's arrays\n"
-        f"ELEMENTWISE = {tuple(LISTS['elementwise'][:-1])}\n",
+        f"ELEMENTWISE = {tuple(bit for bit, *_, shape, _ in QUANTITIES if shape not in ('CHANNEL', 'RADII'))}\n",
         block("STRUCTURES", "# name: kind and name of each field\n",
               {name: fields_of(fields) for name, fields in STRUCTURES.items()}),
         block("PAYLOADS", "# The structures that a payload begins with, and its parts: element, "
               "name, number of arrays, and\n# of elements in each; wanted&12 is how many of these "
               "bits `wanted` has; [] is all that is left.\n", named(LISTS["payloads"])),
-    ]))
+    ])
 
+
+def properties_text() -> str:
+    """Returns the properties of results. model_error and r are not alike for all of them."""
+    return "".join(
+        f'    {name.replace("2_", "two_")} = _Quantity("{name}", "[C{", N" * (shape != "CHANNEL")}] {unit}'
+        f'{": " * bool(about)}{about.replace("*", "")}.")\n'
+        for _, _, name, unit, shape, about in QUANTITIES if name not in ("model_error", "r")
+    )
+
+
+def enumeration_text() -> str:
+    """Returns the quantities for C, where DIPOLE_PHASE is a list."""
+    return "".join(
+        f"  /* {name}, {unit}{': ' * bool(about)}{about.replace('*', '')} */\n"
+        f"  DIPOLE_{ident.replace('PHASE', 'LAG')} = {bit},\n"
+        for bit, ident, name, unit, _, about in QUANTITIES
+    )
+
+
+MADE = {
+    "proto/PROTOCOL.md": protocol_of,
+    "proto/REGISTERS.md": lambda text: between(
+        text, blocks_text() + jobs_text() + fields_text() + lists_text()
+    ),
+    "proto/SCPI.md": lambda text: between(text, scpi_text()),
+    "core/TISSUE.md": lambda text: between(text, spectra_text(), "spectra"),
+    "clients/c/dipole.h": lambda text: between(text, enumeration_text(), "quantities"),
+    "clients/python/dipole/schema.py": lambda text: schema_text(),
+    "clients/python/dipole/values.py": lambda text: between(text, properties_text(), "quantities"),
+}
 
 if __name__ == "__main__":
-    write_protocol(Path(sys.argv[1]))
-    write_between(Path(sys.argv[2]), blocks_text() + jobs_text() + fields_text() + lists_text())
-    write_between(Path(sys.argv[3]), scpi_text())
-    write_schema(Path(sys.argv[4]))
-    write_spectra(Path(sys.argv[5]))
+    for name, made in MADE.items():
+        to = Path(sys.argv[1], name)
+        to.parent.mkdir(parents=True, exist_ok=True)
+        to.write_text(made(Path(name).read_text()))

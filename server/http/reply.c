@@ -113,11 +113,8 @@ static void write_units(struct text *text, const schema_field *fields) {
 
 /* ---- eval and sample ------------------------------------------------------------------------- */
 
-/* With R_f alone, r holds spatial frequencies. */
 static void write_quantity_units(struct text *text, unsigned wanted) {
-  const unsigned others =
-      wanted & ~(CORE_OF_CHANNEL | CORE_QUANTITY_RADIUS | CORE_QUANTITY_MODEL_ERRORS);
-  const bool by_f = others != 0 && (others & ~CORE_AT_FREQUENCIES) == 0;
+  const bool by_f = core_is_at_frequencies(wanted);
   for (const core_choice *one = core_quantities; one->name != NULL; one++) {
     if ((one->id & wanted) != 0) {
       http_text_string(text, one->name,

@@ -564,7 +564,7 @@ static void evaluate_slice(struct eval_job *eval, size_t n) {
   const void *r = eval->drawn ? draw_radii(eval, n) : slice_radii(eval, n);
   for (unsigned left = eval->request.fixed.wanted; left != 0; left &= left - 1) {
     const unsigned quantity = left & ~(left - 1);
-    if (!core_quantity_elementwise(quantity)) {
+    if ((quantity & CORE_ARRAYS) == 0) {
       continue;
     }
     void *to = array_of(eval, quantity);

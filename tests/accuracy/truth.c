@@ -96,7 +96,7 @@ static const enum core_quantity lights[CHECKS - PATH_LENGTH] = {
     CORE_QUANTITY_MODULATION, CORE_QUANTITY_PHASE_F, CORE_QUANTITY_MODULATION_F};
 
 static const char *const check_names[CHECKS] = {
-#define NAME_OF(P, bit, IDENT, name, unit, SHAPE)                                                  \
+#define NAME_OF(P, bit, IDENT, name, unit, SHAPE, about)                                           \
   CORE_IF_##SHAPE([CORE_ELEMENTWISE_##IDENT] = name, )
     CORE_EACH_QUANTITY(NAME_OF, )[ALBEDO] = "albedo",
     [CDF_END] = "cdf stays 1",
@@ -113,7 +113,7 @@ static const char *const check_names[CHECKS] = {
     [MODULATION_F] = "modulation_f"};
 
 static const enum core_quantity quantities[CORE_ELEMENTWISE_COUNT] = {
-#define QUANTITY_OF(P, bit, IDENT, name, unit, SHAPE)                                              \
+#define QUANTITY_OF(P, bit, IDENT, name, unit, SHAPE, about)                                       \
   CORE_IF_##SHAPE([CORE_ELEMENTWISE_##IDENT] = CORE_QUANTITY_##IDENT, )
     CORE_EACH_QUANTITY(QUANTITY_OF, )};
 
@@ -990,7 +990,7 @@ static double deviation(const core_profile *profile, const struct solved *solved
   double worst =
       (wanted & CORE_QUANTITY_ALBEDO) != 0 ? fabs(profile->albedo / solved->albedo - 1) : 0;
   for (unsigned quantity = 1; quantity <= CORE_QUANTITY_RING; quantity *= 2) {
-    if ((wanted & quantity) == 0 || !core_quantity_elementwise(quantity) ||
+    if ((wanted & quantity) == 0 || (quantity & CORE_ARRAYS) == 0 ||
         quantity == CORE_QUANTITY_CDF) {
       continue;
     }

@@ -207,7 +207,7 @@ static core_fault prepare(core_profile *profile, const core_isa *isa, const core
 /* Returns whether a quantity of a model is compared. Model errors and what frequencies give are
  * computed from several profiles, and have no kernels. */
 static bool is_compared(const core_choice *model, const core_choice *evaluator, unsigned quantity) {
-  return core_quantity_elementwise(quantity) &&
+  return (quantity & CORE_ARRAYS) != 0 &&
          (quantity & (CORE_QUANTITY_MODEL_ERRORS | CORE_PATHS | CORE_MODULATED)) == 0 &&
          (!core_wants_derivatives(quantity) || has_derivatives(model)) &&
          (evaluator->id != CORE_EVALUATOR_LUT || core_table_has(quantity));
@@ -300,7 +300,7 @@ static void print_transport_with_g(const core_isa *isa) {
       }
       sum = add_preparation(sum, &profile);
       for (const core_choice *quantity = core_quantities; quantity->name != NULL; quantity++) {
-        if (core_quantity_elementwise(quantity->id) && quantity->id != CORE_QUANTITY_MODEL_ERRORS) {
+        if ((quantity->id & CORE_ARRAYS) != 0 && quantity->id != CORE_QUANTITY_MODEL_ERRORS) {
           sum = add_values(sum, &profile, quantity->id, &state);
         }
       }

@@ -148,12 +148,12 @@ transport,1,0.1,1,0,1.3,1,0.014450509299045075,0.30660714050957727,3.21000000000
 $ dipole eval --sigma-a 0.01 --sigma-s 10 --g 0.9 --eta 1.4 --model better --f 0.1,1
 moments exact, R_f, the reflectance of striped light
 
-          better
-   f       R_f 1
-1/mm           1
-----  ----------
- 0.1  2.1323e-01
-   1  3.5160e-04
+           better
+   f        R_f 1
+1/mm            1
+----  -----------
+ 0.1     0.213234
+   1  0.000351603
 
 model   channel  sigma_a  sigma_s    g  eta    albedo  numerical error  model error  evaluator       notes
                     1/mm     1/mm                   1

@@ -318,7 +318,7 @@ $ dipole eval --sigma-a 0.1 --sigma-s 1 --evaluator f16
 ? 2
 
 $ dipole eval --sigma-a 0.1 --sigma-s 1 --wanted colour
-! dipole eval: --wanted: 'colour' is unknown; this daemon has R, albedo, cdf, r, dR_dr, ln_R, pdf, 2_pi_r_R, S, R_f, dlnR_dln_sigma_a, dlnR_dln_sigma_s, model_error, model_errors, T, path, dpf, time, phase, modulation, balance, phase_f, modulation_f
+! dipole eval: --wanted: 'colour' is unknown; this daemon has R, albedo, cdf, r, ...
 ! `dipole eval --help` says more.
 ? 2
 

@@ -82,7 +82,7 @@ $ dipole plot --medium skin1 --axes log
 ? 2
 
 $ dipole plot --medium skin1 --quantity colour
-! dipole plot: --quantity: 'colour' is unknown; this daemon has R, albedo, cdf, r, dR_dr, ln_R, pdf, 2_pi_r_R, S, R_f, dlnR_dln_sigma_a, dlnR_dln_sigma_s, model_error, model_errors, T, path, dpf, time, phase, modulation, balance, phase_f, modulation_f
+! dipole plot: --quantity: 'colour' is unknown; this daemon has R, albedo, cdf, r, ...
 ! `dipole plot --help` says more.
 ? 2
 

@@ -283,6 +283,7 @@ def read_wrong() -> dict[str, tuple]:
     """Returns the arguments of assert_refused() for the rows of wrong.txt."""
     listed = {"INF": math.inf, "NAN": math.nan, "P": types.SimpleNamespace(**choices("PARAMETER"))}
     listed["M"] = type("M", (dict,), {"__getattr__": dict.__getitem__})(MODELS)
+    listed["NO_QUANTITY"] = 2 * max(choices("QUANTITY").values())
     listed["below"] = lambda x: math.nextafter(x, -math.inf)
     cases = {}
     for line in Path(__file__).with_name("wrong.txt").read_text().splitlines():

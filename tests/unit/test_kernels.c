@@ -193,7 +193,7 @@ static void check_edges(const core_profile *profile, const char *name, unsigned 
 static void check_profile(const core_profile *profile) {
   const unsigned derived = CORE_QUANTITY_MODEL_ERRORS | CORE_PATHS | CORE_MODULATED;
   for (const core_choice *quantity = core_quantities; quantity->name != NULL; quantity++) {
-    if (core_quantity_elementwise(quantity->id) && (quantity->id & derived) == 0 &&
+    if ((quantity->id & CORE_ARRAYS) != 0 && (quantity->id & derived) == 0 &&
         (!core_wants_derivatives(quantity->id) || core_has_derivatives(profile->model))) {
       check_edges(profile, quantity->name, quantity->id);
     }

@@ -307,9 +307,29 @@ class _Evaluated:
             return self.errors["model_error"].model_error
         return np.full(len(next(iter(self.errors.values())).model_error), np.nan)
 
-    pdf = _Quantity("pdf", "[C, N] 1/mm: density of radii, 2 pi r R over the albedo.")
-    albedo = _Quantity("albedo", "[C] float64: integral of 2 pi r R(r).")
-    balance = _Quantity("balance", "[C] with named fields: where the power goes that has entered.")
+    # quantities: begin
+    R = _Quantity("R", "[C, N] 1/mm^2: per unit of power that entered.")
+    albedo = _Quantity("albedo", "[C] 1: integral of 2_pi_r_R.")
+    cdf = _Quantity("cdf", "[C, N] 1: share of the albedo within r.")
+    dR_dr = _Quantity("dR_dr", "[C, N] 1/mm^3.")
+    ln_R = _Quantity("ln_R", "[C, N] ln(1/mm^2): finite where R underflows.")
+    pdf = _Quantity("pdf", "[C, N] 1/mm: derivative of the cdf.")
+    two_pi_r_R = _Quantity("2_pi_r_R", "[C, N] 1/mm: finite at 0.")
+    S = _Quantity("S", "[C, N] 1/(mm^2 sr): BSSRDF.")
+    R_f = _Quantity("R_f", "[C, N] 1: integral of 2_pi_r_R J0(2 pi f r).")
+    dlnR_dln_sigma_a = _Quantity("dlnR_dln_sigma_a", "[C, N] 1: for fits.")
+    dlnR_dln_sigma_s = _Quantity("dlnR_dln_sigma_s", "[C, N] 1: for fits.")
+    model_errors = _Quantity("model_errors", "[C, N] 1: of each radius.")
+    T = _Quantity("T", "[C, N] 1/mm^2: as R, below the last layer: transport; 0 below half spaces.")
+    path = _Quantity("path", "[C, N] mm: mean length.")
+    dpf = _Quantity("dpf", "[C, N] 1: path/r.")
+    time = _Quantity("time", "[C, N] ps: by the index.")
+    phase = _Quantity("phase", "[C, N] degrees: lag of modulated light.")
+    modulation = _Quantity("modulation", "[C, N] 1: its amplitude.")
+    balance = _Quantity("balance", "[C] 1: where power goes.")
+    phase_f = _Quantity("phase_f", "[C, N] degrees: of R_f.")
+    modulation_f = _Quantity("modulation_f", "[C, N] 1: of R_f.")
+    # quantities: end
 
     def _quantity(self, name: str) -> Array:
         if name not in self.quantities:
@@ -336,41 +356,8 @@ class Result(_Evaluated):
 
     r = _Quantity(
         "r",
-        "[N] mm, or 1/mm with R_f: the radii of the query. A grid has them only if r was "
-        "wanted.",
-    )
-    R = _Quantity("R", "[C, N] 1/mm^2 per unit of power that entered.")
-    T = _Quantity("T", "[C, N] 1/mm^2: as R, of the light that leaves below the last layer.")
-    cdf = _Quantity("cdf", "[C, N] power that leaves within r over all that leaves, 0 to 1.")
-    dR_dr = _Quantity("dR_dr", "[C, N] 1/mm^3.")
-    ln_R = _Quantity("ln_R", "[C, N]: finite even where R underflows. Its error is absolute.")
-    two_pi_r_R = _Quantity("2_pi_r_R", "[C, N] 1/mm: finite even where R is infinite at r = 0.")
-    S = _Quantity("S", "[C, N] 1/(mm^2 sr): the BSSRDF for the parameters cos_in and cos_out.")
-    R_f = _Quantity(
-        "R_f",
-        "[C, N]: the reflectance for striped light; r holds spatial frequencies f in 1/mm.",
-    )
-    dlnR_dln_sigma_a = _Quantity(
-        "dlnR_dln_sigma_a",
-        "[C, N]: d ln R / d ln sigma_a, for fits. Its error is absolute.",
-    )
-    dlnR_dln_sigma_s = _Quantity(
-        "dlnR_dln_sigma_s",
-        "[C, N]: d ln R / d ln sigma_s, which is also that by ln sigma_s'.",
-    )
-    path = _Quantity(
-        "path",
-        "[C, N] mm: mean length of the paths in the medium, or in the layer derivative_layer.",
-    )
-    dpf = _Quantity("dpf", "[C, N]: path / r, the differential path length factor.")
-    time = _Quantity("time", "[C, N] ps: mean time on these paths, by the parameter index.")
-    phase = _Quantity("phase", "[C, N] degrees: lag of light modulated with the parameter mhz.")
-    modulation = _Quantity("modulation", "[C, N]: what is left of that modulation, at most 1.")
-    phase_f = _Quantity("phase_f", "[C, N] degrees: as phase, of R_f at spatial frequencies.")
-    modulation_f = _Quantity("modulation_f", "[C, N]: as modulation, of R_f at spatial frequencies.")
-    model_errors = _Quantity(
-        "model_errors",
-        "[C, N]: model_error at each radius; a medium that transport solves takes seconds.",
+        "[N] mm, or 1/mm with quantities that end with _f: the radii of the query. A grid has "
+        "them only if r was wanted.",
     )
 
     def numerical_error(
@@ -394,7 +381,7 @@ class Result(_Evaluated):
         r = self.quantities.get("r")
         if r is None:
             return self._in_short("a grid of radii")
-        by_f = self.values.keys() <= {"R_f", "phase_f", "modulation_f"}
+        by_f = all(name.endswith("_f") for name in self.values.keys() - {"model_errors"})
         one, several, unit = ("frequency", "frequencies", "1/mm") if by_f else ("radius", "radii", "mm")
         listed = f", {span(r)} {unit}" if r.size else ""
         return self._in_short(counted(r.size, one, several) + listed)
