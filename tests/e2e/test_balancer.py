@@ -14,6 +14,8 @@ import socket
 import subprocess
 import threading
 import time
+from collections.abc import Iterator
+from pathlib import Path
 from typing import NamedTuple
 
 import dipole
@@ -99,12 +101,12 @@ class Farm:
             one.close()
 
 
-@pytest.fixture
-def farm(tmp_path):
-    """Yields three daemons behind a balancer."""
+@contextlib.contextmanager
+def balanced(folder: Path) -> Iterator[Farm]:
+    """Yields three daemons behind a balancer, whose configuration is put into a folder."""
     one = Farm()
-    (tmp_path / "haproxy.cfg").write_text(one.configuration())
-    command = ["haproxy", "-db", "-f", str(tmp_path / "haproxy.cfg")]
+    (folder / "haproxy.cfg").write_text(one.configuration())
+    command = ["haproxy", "-db", "-f", str(folder / "haproxy.cfg")]
     with subprocess.Popen(command, stderr=subprocess.DEVNULL) as proxy:
         try:
             assert eventually(one.answers)
@@ -112,6 +114,12 @@ def farm(tmp_path):
         finally:
             proxy.terminate()
             one.close()
+
+
+@pytest.fixture
+def farm(tmp_path):
+    with balanced(tmp_path) as one:
+        yield one
 
 
 def open_three(address: str) -> bool:
