@@ -65,161 +65,103 @@ def parameters_bytes(parameters) -> bytes:
     return b"".join(wire.PARAMETER.pack(parameter=id, value=value) for id, value in parameters)
 
 
+# What requests say unless a test says otherwise. Other fields are 0, and counts are those of the lists.
+USUAL = {
+    "model": BETTER, "evaluator": F64, "moments": EXACT, "layer_count": 1, "g": 0.0, "eta": 1.3,
+    "given": 1, "axis": 1, "scale": 1, "unknowns": 1, "haemoglobin": 1,
+}  # fmt: skip
+
+
+def packed(structure: wire.Structure, fields, *lists: bytes) -> bytes:
+    """Makes a payload of a fixed part and lists."""
+    usual = {name: USUAL.get(name, 0) for name in structure.names}
+    return structure.pack(**usual | fields) + b"".join(lists)
+
+
+def f64_bytes(*arrays) -> bytes:
+    """Makes lists of f64."""
+    return b"".join(np.asarray(array, "<f8").tobytes() for array in arrays)
+
+
+def numbers_bytes(numbers, fields) -> bytes:
+    """Makes a list of radii or the like for the evaluator that the fields name, if there is one."""
+    evaluator = fields.get("evaluator", F64)
+    listed = [] if numbers is None else numbers
+    return radii_bytes(listed, evaluator if evaluator in wire.EVALUATOR_TYPES else F64)
+
+
 def eval_payload(media=(SKIN,), radii=(0.5, 1.0), parameters=(), **fixed: float) -> bytes:
-    """Makes the payload of an eval request with a list of radii. Its counts fit unless `fixed` has
-    others. radii: None for a grid. parameters: pairs of id and value, or their bytes."""
-    parameter_count = len(parameters)
-    if isinstance(parameters, bytes):
-        parameter_count //= wire.PARAMETER.bytes
+    """Makes an eval request. radii: None for a grid. parameters: pairs of id and value, or their
+    bytes."""
+    listed = parameters if isinstance(parameters, bytes) else parameters_bytes(parameters)
+    counts = {"medium_count": len(media), "parameter_count": len(listed) // wire.PARAMETER.bytes}
+    if radii is None:
+        counts |= {"spacing": LINEAR, "radius_count": 2, "radius_stop": 1.0}
     else:
-        parameters = parameters_bytes(parameters)
-    fields = {
-        "model": BETTER,
-        "evaluator": F64,
-        "moments": EXACT,
-        "wanted": R | ALBEDO | CDF,
-        "medium_count": len(media),
-        "layer_count": 1,
-        "spacing": LIST if radii is not None else LINEAR,
-        "parameter_count": parameter_count,
-        "radius_count": len(radii) if radii is not None else 2,
-        "radius_start": 0.0,
-        "radius_stop": 0.0 if radii is not None else 1.0,
-    }
-    fields.update(fixed)
-    evaluator = fields["evaluator"] if fields["evaluator"] in wire.EVALUATOR_TYPES else F64
-    listed = b"" if radii is None else radii_bytes(radii, evaluator)
-    return wire.EVAL_REQUEST.pack(**fields) + media_bytes(media) + parameters + listed
+        counts |= {"spacing": LIST, "radius_count": len(radii)}
+    fields = {"wanted": R | ALBEDO | CDF} | counts | fixed
+    return packed(wire.EVAL_REQUEST, fields, media_bytes(media), listed, numbers_bytes(radii, fixed))
 
 
 def sample_payload(media=(SKIN,), u=(0.25, 0.5), parameters=(), **fixed: int) -> bytes:
-    """Makes the payload of a sample request with a list of numbers. Its counts fit unless `fixed`
-    has others. u: None for numbers by a rule. parameters: pairs of id and value."""
-    fields = {
-        "model": BETTER,
-        "evaluator": F64,
-        "moments": EXACT,
-        "wanted": RADIUS | PDF,
-        "medium_count": len(media),
-        "layer_count": 1,
-        "draw": wire.DRAW_LIST if u is not None else wire.DRAW_RANDOM,
-        "parameter_count": len(parameters),
-        "sample_count": len(u) if u is not None else 2,
-        "sample_first": 0,
-        "seed": 0 if u is not None else 1,
-    }
-    fields.update(fixed)
-    evaluator = fields["evaluator"] if fields["evaluator"] in wire.EVALUATOR_TYPES else F64
-    listed = b"" if u is None else radii_bytes(u, evaluator)
-    head = wire.SAMPLE_REQUEST.pack(**fields)
-    return head + media_bytes(media) + parameters_bytes(parameters) + listed
+    """Makes a sample request. u: None for numbers by a rule."""
+    counts = {"medium_count": len(media), "parameter_count": len(parameters)}
+    if u is None:
+        counts |= {"draw": wire.DRAW_RANDOM, "sample_count": 2, "seed": 1}
+    else:
+        counts |= {"draw": wire.DRAW_LIST, "sample_count": len(u)}
+    fields = {"wanted": RADIUS | PDF} | counts | fixed
+    lists = media_bytes(media), parameters_bytes(parameters), numbers_bytes(u, fixed)
+    return packed(wire.SAMPLE_REQUEST, fields, *lists)
 
 
 def invert_payload(albedos=(0.5, 0.9), lengths=(1.0, 2.0), **fixed: float) -> bytes:
-    """Makes the payload of an invert request. Its count fits unless `fixed` has another."""
-    fields = {
-        "model": BETTER,
-        "moments": EXACT,
-        "given": 1,
-        "light": 0,
-        "medium_count": len(albedos),
-        "specular": 0,
-        "g": 0.0,
-        "eta": 1.3,
-    }
-    fields.update(fixed)
-    numbers = np.asarray([*albedos, *lengths], "<f8").tobytes()
-    return wire.INVERT_REQUEST.pack(**fields) + numbers
+    """Makes an invert request."""
+    fields = {"medium_count": len(albedos)} | fixed
+    return packed(wire.INVERT_REQUEST, fields, f64_bytes(albedos, lengths))
 
 
 def varying_payload(media=((0.032, 0.74), (0.1, 1.0)), numbers=(0.5, 1.0), parameters=(),
                     **fixed: float) -> bytes:
-    """Makes the payload of a varying request. Its count fits unless `fixed` has another. media:
-    pairs of sigma_a and sigma_s, or of colour and length. numbers: radii or, with numbers=2, u;
-    None: neither."""
-    fields = {
-        "model": BETTER,
-        "evaluator": F64,
-        "moments": EXACT,
-        "wanted": R,
-        "coefficients": 0,
-        "given": 0,
-        "light": 0,
-        "specular": 0,
-        "numbers": wire.VARYING_RADII if numbers is not None else wire.VARYING_NONE,
-        "parameter_count": len(parameters),
-        "value_count": len(media),
-        "g": 0.0,
-        "eta": 1.3,
-    }
-    fields.update(fixed)
-    evaluator = fields["evaluator"] if fields["evaluator"] in wire.EVALUATOR_TYPES else F64
+    """Makes a varying request. media: pairs of sigma_a and sigma_s, or of colour and length.
+    numbers: radii or, with numbers=2, u; None: neither."""
+    kind = wire.VARYING_NONE if numbers is None else wire.VARYING_RADII
+    counts = {"parameter_count": len(parameters), "value_count": len(media)}
+    fields = {"wanted": R, "given": 0, "numbers": kind} | counts | fixed
     pairs = np.asarray(media, float).reshape(-1, 2)
-    arrays = [pairs[:, 0], pairs[:, 1], *([] if numbers is None else [numbers])]
-    listed = b"".join(radii_bytes(array, evaluator) for array in arrays)
-    return wire.VARYING_REQUEST.pack(**fields) + parameters_bytes(parameters) + listed
+    lists = [numbers_bytes(array, fixed) for array in (pairs[:, 0], pairs[:, 1], numbers)]
+    return packed(wire.VARYING_REQUEST, fields, parameters_bytes(parameters), *lists)
 
 
 def table_payload(medium=SKIN, parameters=(), **fixed: int) -> bytes:
-    """Makes the payload of a table request. Its count fits unless `fixed` has another."""
-    fields = {"model": BETTER, "moments": EXACT, "parameter_count": len(parameters)}
-    fields |= {"layer_count": 1, **fixed}
-    return wire.TABLE_REQUEST.pack(**fields) + media_bytes([medium]) + parameters_bytes(parameters)
+    """Makes a table request."""
+    fields = {"parameter_count": len(parameters)} | fixed
+    return packed(wire.TABLE_REQUEST, fields, media_bytes([medium]), parameters_bytes(parameters))
 
 
 def mc_payload(medium=(0.1, 0.9, 0.3, 1.3), albedos=(), parameters=(), **fixed: float) -> bytes:
-    """Makes the payload of an mc request of two batches of photons and ten rings. Its counts fit
-    unless `fixed` has others."""
-    fields = {
-        "spacing": LINEAR,
-        "albedo_count": len(albedos),
-        "ring_count": 10,
-        "radius_start": 0.0,
-        "radius_stop": 5.0,
-        "layer_count": 1,
-        "seed": 1,
-        "photons": 8192,
-        "error_total": 0.0,
-        "error_rings": 0.0,
-        **fixed,
-    }
-    listed = media_bytes([medium]) + np.asarray(albedos, "<f8").tobytes()
-    return wire.MC_REQUEST.pack(**fields) + listed + parameters_bytes(parameters)
+    """Makes an mc request of two batches of photons and ten rings."""
+    walk = {"spacing": LINEAR, "ring_count": 10, "radius_stop": 5.0, "seed": 1, "photons": 8192}
+    lists = media_bytes([medium]), f64_bytes(albedos), parameters_bytes(parameters)
+    return packed(wire.MC_REQUEST, walk | {"albedo_count": len(albedos)} | fixed, *lists)
 
 
 def points_payload(points: Points, first: int = 0, count: int | None = None, **fixed) -> bytes:
-    """Makes the payload of a part of a set. Its fields fit unless `fixed` has others."""
+    """Makes the payload of a part of a set."""
     count = len(points) - first if count is None else count
-    power = points.power[first : first + count].tobytes()
-    fields = {
-        "set": words(points.name),
-        "channel_count": points.channels,
-        "point_count": len(points),
-        "point_first": first,
-        "part_points": count,
-        **fixed,
-    }
-    zeros = bytes(wire.padded(len(power)) - len(power))
-    listed = points.xyz[first : first + count].tobytes()
-    return wire.POINTS_REQUEST.pack(**fields) + listed + power + zeros
+    part = slice(first, first + count)
+    counts = {"point_count": len(points), "point_first": first, "part_points": count}
+    fields = {"set": words(points.name), "channel_count": points.channels} | counts | fixed
+    lists = points.xyz[part].tobytes(), points.power[part].tobytes()
+    zeros = bytes(wire.padded(len(lists[1])) - len(lists[1]))
+    return packed(wire.POINTS_REQUEST, fields, *lists, zeros)
 
 
 def gather_payload(points: Points, media=(SKIN,), queries=((0.0, 0.0, 1.0),), **fixed) -> bytes:
-    """Makes the payload of a gather request. Its fields fit unless `fixed` has others."""
-    listed = np.asarray(queries, "<f8")
-    fields = {
-        "model": BETTER,
-        "evaluator": F64,
-        "moments": EXACT,
-        "parameter_count": 0,
-        "medium_count": len(media),
-        "layer_count": 1,
-        "set": words(points.name),
-        "query_count": len(listed),
-        "tolerance": 1e-3,
-        **fixed,
-    }
-    return wire.GATHER_REQUEST.pack(**fields) + media_bytes(media) + listed.tobytes()
+    """Makes a gather request."""
+    counts = {"medium_count": len(media), "query_count": len(queries)}
+    fields = {"set": words(points.name), "tolerance": 1e-3} | counts | fixed
+    return packed(wire.GATHER_REQUEST, fields, media_bytes(media), f64_bytes(queries))
 
 
 def words(name: bytes) -> tuple[int, ...]:
@@ -234,45 +176,31 @@ def fit_payload(
     values=(READINGS,), errors=((5e-4, 2e-4, 3e-5),), at=(1.0, 2.0, 4.0), parameters=(),
     reference=None, discs=None, **fixed: float,
 ) -> bytes:
-    """Makes the payload of a fit request: readings of several sets under the better dipole. Counts
-    fit unless `fixed` has others."""
-    head = {"set_count": len(values), "residuals": 0}
-    design = {
-        "model": BETTER,
-        "moments": EXACT,
-        "axis": 1,
-        "scale": 1 if reference is None else wire.SCALE_REFERENCE,
-        "reading_count": len(at),
-        "parameter_count": len(parameters),
-        "g": 0.0,
-        "eta": 1.4,
-        "thickness": 0.0,
-    }
-    head.update({name: value for name, value in fixed.items() if name in (*head, "zero")})
-    design.update({name: value for name, value in fixed.items() if name in design})
-    places = np.asarray([at, *(discs or np.zeros((2, len(at))))], "<f8")
-    sets = np.asarray([values, np.broadcast_to(errors, np.shape(values))], "<f8")
-    return b"".join([
-        wire.FIT_REQUEST.pack(**head), wire.FIT_DESIGN.pack(**design),
-        parameters_bytes(parameters), media_bytes([] if reference is None else reference),
-        places.tobytes(), sets.tobytes(),
-    ])  # fmt: skip
+    """Makes a fit request: readings of several sets under the better dipole."""
+    head = {"set_count": len(values)}
+    head |= {name: fixed.pop(name) for name in wire.FIT_REQUEST.names if name in fixed}
+    scale = 1 if reference is None else wire.SCALE_REFERENCE
+    counts = {"reading_count": len(at), "parameter_count": len(parameters)}
+    design = packed(wire.FIT_DESIGN, {"scale": scale, "eta": 1.4} | counts | fixed)
+    lists = parameters_bytes(parameters), media_bytes([] if reference is None else reference)
+    places = f64_bytes(at, discs or np.zeros((2, len(at))))
+    sets = f64_bytes(values, np.broadcast_to(errors, np.shape(values)))
+    return packed(wire.FIT_REQUEST, head, design, *lists, places, sets)
 
 
 def fit_layers_payload(
     media=(SKIN,), at=(3.0,), values=(2.7e-3,), errors=(1e-5,), **fixed: int
 ) -> bytes:
-    """Makes the payload of a fit of layers, of sigma_a_1. Counts fit unless `fixed` has others."""
-    fields = {"scale": 1, "unknowns": 1, "layer_count": len(media), "reading_count": len(at)}
-    arrays = np.concatenate([at, values, errors]).astype("<f8")
-    return wire.FIT_LAYERS_REQUEST.pack(**fields | fixed) + media_bytes(media) + arrays.tobytes()
+    """Makes a fit of layers, of sigma_a_1."""
+    fields = {"layer_count": len(media), "reading_count": len(at)} | fixed
+    lists = media_bytes(media), f64_bytes(at, values, errors)
+    return packed(wire.FIT_LAYERS_REQUEST, fields, *lists)
 
 
 def tissue_payload(properties=((32, 1.0), (33, 1.0), (3, 0.7)), wavelengths=(650.0, 850.0), **fixed: int) -> bytes:
-    """Makes the payload of a tissue request, of water that scatters. Counts fit unless `fixed` has others."""
-    fields = {"tissue": 0, "haemoglobin": 1, "property_count": len(properties), "wavelength_count": len(wavelengths)}
-    lists = parameters_bytes(properties) + np.asarray(wavelengths, "<f8").tobytes()
-    return wire.TISSUE_REQUEST.pack(**fields | fixed) + lists
+    """Makes a tissue request, of water that scatters."""
+    fields = {"property_count": len(properties), "wavelength_count": len(wavelengths)} | fixed
+    return packed(wire.TISSUE_REQUEST, fields, parameters_bytes(properties), f64_bytes(wavelengths))
 
 
 def fit_tissue_payload(
@@ -280,18 +208,15 @@ def fit_tissue_payload(
     wavelengths=(690.0, 830.0), at=(5.0,), values=((2e-4, 2e-4),), errors=((1e-5, 1e-5),),
     discs=None, mhz=(0.0,), quantity=(0.0,), **fixed: float,
 ) -> bytes:
-    """Makes the payload of a fit of a tissue under the better dipole: haemoglobin by default. Counts fit
-    unless `fixed` has others."""
-    fields = {
-        "set_count": len(values), "model": BETTER, "axis": 1, "scale": 1, "residuals": 0, "tissue": 0,
-        "haemoglobin": 1, "property_count": len(properties), "sought_count": len(sought),
-        "wavelength_count": len(wavelengths), "place_count": len(at), "detector_na": 0.0,
+    """Makes a fit of a tissue under the better dipole: haemoglobin by default."""
+    counts = {
+        "set_count": len(values), "property_count": len(properties), "sought_count": len(sought),
+        "wavelength_count": len(wavelengths), "place_count": len(at),
     }  # fmt: skip
-    listed = [wire.SOUGHT.pack(property=id, low=low, high=high) for id, low, high in sought]
-    places = np.asarray([at, *(discs or np.zeros((2, len(at)))), *np.broadcast_arrays(mhz, quantity, at)[:2]], "<f8").tobytes()
-    arrays = [np.asarray(one, "<f8").tobytes() for one in (wavelengths, values, errors)]
-    lists = [parameters_bytes(properties), *listed, places, *arrays]
-    return b"".join([wire.FIT_TISSUE_REQUEST.pack(**fields | fixed), *lists])
+    listed = b"".join(wire.SOUGHT.pack(property=id, low=low, high=high) for id, low, high in sought)
+    places = at, discs or np.zeros((2, len(at))), *np.broadcast_arrays(mhz, quantity, at)[:2]
+    lists = parameters_bytes(properties), listed, f64_bytes(*places, wavelengths, values, errors)
+    return packed(wire.FIT_TISSUE_REQUEST, counts | fixed, *lists)
 
 
 def ask(connection: Connection, type: int, payload: bytes = b"", request_id: int = 77) -> Frame:

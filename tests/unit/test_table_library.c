@@ -1,21 +1,26 @@
-/* Tables of libdipole: the errors that they state, what they do not hold, impossible facts and wrong
- * answers of a peer. test_tables.py and test_cli_table.py have their values, files and damage. */
+/* Tables and surfaces of libdipole: the errors that tables state, what they do not hold, queries of
+ * other media, impossible facts and wrong answers of a peer. test_tables.py, test_cli_table.py and
+ * test_varying.py have their values, files and damage. */
 #include <math.h>
 
 #include "core/ruler.h"
 #include "proto/table.h"
+#include "proto/varying.h"
 #include "tests/unit/peer_scripts.h"
 #include "tests/unit/unit.h"
 
 static const core_medium skin = {0.032, 0.74, 0, 1.3};
+static const dipole_parameter tolerance = {CORE_PARAMETER_TOLERANCE, 0.01};
 
 /* ---- frames -------------------------------------------------------------------------------- */
 
-/* A table: the frame of a whole reply, and its profile. The test frees both. */
+/* The frame of a whole reply, and what it is for: a table or a surface. The test frees it. */
 typedef struct made_table {
+  bool is_surface;
   core_profile profile;
   core_model_errors errors;
-  uint8_t *bytes;
+  core_varying varying;
+  uint8_t *bytes, *payload;
   size_t count;
 } made_table;
 
@@ -32,39 +37,66 @@ static core_model_errors measured(const core_profile *profile) {
   return errors;
 }
 
-static made_table make(const char *model, core_medium medium) {
-  const core_parameters none = core_parameters_none();
-  made_table made;
-  const unsigned id = core_choice_by_name(core_models, model)->id;
-  const core_fault fault =
-      core_profile_prepare(&made.profile, core_isa_select(NULL), id, CORE_MOMENTS_EXACT,
-                           CORE_EVALUATOR_LUT, &medium, &none);
-  unit_assert_fault(fault, NULL, 0);
-  const size_t payload_bytes = table_reply_bytes(&none, made.profile.lut_count);
+static void make_frame(made_table *of, const core_parameters *parameters) {
+  const size_t payload_bytes = table_reply_bytes(
+      parameters, of->is_surface ? table_surface_words(&of->varying) : of->profile.lut_count);
   const wire_header header = {.magic = WIRE_MAGIC,
                               .version = WIRE_VERSION,
                               .type = WIRE_TYPE_TABLE | WIRE_REPLY,
                               .request_id = 9,
                               .payload_bytes = (uint32_t)payload_bytes};
-  made.count = WIRE_BYTES_header + payload_bytes;
-  made.bytes = malloc(made.count);
-  assert_non_null(made.bytes);
-  wire_put_header(made.bytes, &header);
-  made.errors = measured(&made.profile);
-  table_reply_put(made.bytes + WIRE_BYTES_header, &made.profile, &medium, &none, &made.errors);
-  return made;
+  of->count = WIRE_BYTES_header + payload_bytes;
+  of->bytes = malloc(of->count);
+  assert_non_null(of->bytes);
+  of->payload = of->bytes + WIRE_BYTES_header;
+  wire_put_header(of->bytes, &header);
+  if (of->is_surface) {
+    table_reply_put_surface(of->payload, &of->varying, parameters);
+  } else {
+    table_reply_put(of->payload, &of->profile, &of->profile.medium, parameters, &of->errors);
+  }
 }
 
-static void unmake(made_table *made) {
-  core_profile_free(&made->profile);
-  free(made->bytes);
+static made_table make(const char *model, core_medium medium) {
+  const core_parameters none = core_parameters_none();
+  made_table table = {.is_surface = false};
+  table.profile =
+      unit_profile(core_choice_by_name(core_models, model)->id, CORE_EVALUATOR_LUT, &medium, &none);
+  table.errors = measured(&table.profile);
+  make_frame(&table, &none);
+  return table;
 }
 
-static dipole_table *load(const made_table *made) {
+static made_table make_surface(void) {
+  core_parameters parameters = core_parameters_none();
+  made_table surface = {.is_surface = true};
+  parameters.value[tolerance.id] = tolerance.value;
+  unit_assert_fault(core_varying_prepare(&surface.varying, core_isa_select(NULL),
+                                         CORE_MODEL_TRANSPORT, CORE_MOMENTS_EXACT,
+                                         CORE_EVALUATOR_F32, 0.8, 1.4, &parameters),
+                    NULL, 0);
+  make_frame(&surface, &parameters);
+  return surface;
+}
+
+static void unmake(made_table *of) {
+  core_profile_free(&of->profile);
+  core_varying_free(&of->varying);
+  free(of->bytes);
+}
+
+static dipole_table *load(const made_table *of) {
   dipole_table *table;
   dipole_error error;
-  peer_expect(dipole_table_load(made->bytes, made->count, &table, &error), &error);
+  peer_expect(dipole_table_load(of->bytes, of->count, &table, &error), &error);
   return table;
+}
+
+static dipole_surface *load_surface(const made_table *of) {
+  dipole_surface *surface;
+  dipole_error error;
+  peer_expect(dipole_surface_load(of->bytes, of->count, &surface, &error), &error);
+  return surface;
 }
 
 /* ---- errors -------------------------------------------------------------------------------- */
@@ -165,81 +197,96 @@ UNIT_TEST(what_a_table_does_not_hold_is_refused) {
 
 /* ---- damage -------------------------------------------------------------------------------- */
 
-static void assert_damaged(const made_table *made, size_t count) {
+static void assert_damaged(const made_table *of) {
   dipole_table *table = NULL;
+  dipole_surface *surface = NULL;
   dipole_error error = {0};
-  assert_false(dipole_table_load(made->bytes, count, &table, &error));
+  assert_false(of->is_surface ? dipole_surface_load(of->bytes, of->count, &surface, &error)
+                              : dipole_table_load(of->bytes, of->count, &table, &error));
   assert_int_equal(error.kind, DIPOLE_ERROR_TABLE);
   assert_string_not_equal(error.text, "");
-  assert_null(table);
+  assert_true(table == NULL && surface == NULL);
 }
 
-/* Impossible values in the fixed part are refused. */
-UNIT_TEST(impossible_facts_are_found) {
-  made_table made = make("better", skin);
+/* Checks that other facts in the fixed part and other media are refused. */
+static void assert_facts_are_checked(const made_table *of, size_t count, const core_medium *media) {
   wire_table_reply right, wrong;
   wire_header header;
-  wire_get_table_reply(made.bytes + WIRE_BYTES_header, &right);
+  core_medium kept;
+  wire_get_table_reply(of->payload, &right);
 #define WITH(field, value)                                                                         \
   do {                                                                                             \
     wrong = right;                                                                                 \
     wrong.field = (value);                                                                         \
-    wire_put_table_reply(made.bytes + WIRE_BYTES_header, &wrong);                                  \
-    assert_damaged(&made, made.count);                                                             \
+    wire_put_table_reply(of->payload, &wrong);                                                     \
+    assert_damaged(of);                                                                            \
   } while (0)
   WITH(layout, 1);
-  WITH(reach, (double)NAN);
-  WITH(reach, 0);
-  WITH(reach_growth, -1);
-  WITH(reach_growth, (double)NAN);
   WITH(word_count, right.word_count - 4);
   WITH(word_count, 0);
   WITH(word_count, UINT32_MAX);
-  WITH(parameter_count, 1);
+  WITH(parameter_count, right.parameter_count + 1);
   WITH(parameter_count, 65535);
   WITH(checksum, right.checksum + 1);
   WITH(layer_count, 0);
   WITH(layer_count, 2);
   WITH(layer_count, UINT32_MAX);
-  WITH(pieces_from, 2 * right.pieces_from);
-  WITH(pieces_to, (double)NAN);
-#undef WITH
-  wire_put_table_reply(made.bytes + WIRE_BYTES_header, &right);
-  static const core_medium media[] = {{0.032, 0.74, 0, (double)NAN},
-                                      {0.032, 0.74, 1, 1.3},
-                                      {0.032, -1, 0, 1.3},
-                                      {1, 1, 0, 1.3, -1}};
-  uint8_t *layer = made.bytes + WIRE_BYTES_header + WIRE_BYTES_table_reply;
-  for (size_t i = 0; i < sizeof media / sizeof media[0]; i++) {
-    memcpy(layer, &media[i], sizeof media[i]);
-    assert_damaged(&made, made.count);
+  if (of->is_surface) {
+    WITH(model, 0);
+    WITH(model, CORE_MODEL_GAUSSIANS);
+    WITH(moments, 9);
+  } else {
+    WITH(reach, (double)NAN);
+    WITH(reach, 0);
+    WITH(reach_growth, -1);
+    WITH(reach_growth, (double)NAN);
+    WITH(pieces_from, 2 * right.pieces_from);
+    WITH(pieces_to, (double)NAN);
   }
-  memcpy(layer, &skin, sizeof skin);
-  wire_get_header(made.bytes, &header);
+#undef WITH
+  wire_put_table_reply(of->payload, &right);
+  uint8_t *layer = of->payload + WIRE_BYTES_table_reply;
+  memcpy(&kept, layer, sizeof kept);
+  for (size_t i = 0; i < count; i++) {
+    memcpy(layer, &media[i], sizeof media[i]);
+    assert_damaged(of);
+  }
+  memcpy(layer, &kept, sizeof kept);
+  wire_get_header(of->bytes, &header);
   for (int i = 0; i < 4; i++) {
     wire_header other = header;
     other.magic += i == 0;
     other.version += i == 1;
     other.type = (uint16_t)(other.type + (i == 2));
     other.payload_bytes += i == 3 ? 8 : 0;
-    wire_put_header(made.bytes, &other);
-    assert_damaged(&made, made.count);
+    wire_put_header(of->bytes, &other);
+    assert_damaged(of);
   }
-  wire_put_header(made.bytes, &header);
-  dipole_table_free(load(&made));
-  unmake(&made);
+  wire_put_header(of->bytes, &header);
+}
+
+UNIT_TEST(impossible_facts_are_found) {
+  static const core_medium media[] = {{0.032, 0.74, 0, (double)NAN},
+                                      {0.032, 0.74, 1, 1.3},
+                                      {0.032, -1, 0, 1.3},
+                                      {1, 1, 0, 1.3, -1}};
+  static const core_medium of_surfaces[] = {{1, 0, 0.8, 1.4}, {0, (double)NAN, 0.8, 1.4},
+                                            {0, 0, 1, 1.4},   {0, 0, (double)NAN, 1.4},
+                                            {0, 0, 0.8, 0},   {0, 0, 0.8, (double)NAN}};
+  made_table table = make("better", skin), surface = make_surface();
+  assert_facts_are_checked(&table, sizeof media / sizeof media[0], media);
+  assert_facts_are_checked(&surface, sizeof of_surfaces / sizeof of_surfaces[0], of_surfaces);
+  dipole_table_free(load(&table));
+  dipole_surface_free(load_surface(&surface));
+  unmake(&table);
+  unmake(&surface);
 }
 
 /* ---- fetching ------------------------------------------------------------------------------ */
 
-/* A script answers table requests with these bytes, and echoes pings. */
-typedef struct answer {
-  const uint8_t *payload;
-  size_t payload_bytes;
-} answer;
-
+/* A script answers table requests with the payload, and echoes pings. */
 static void answer_requests(int fd, void *context) {
-  const answer *with = context;
+  const made_table *with = context;
   peer_frame request;
   bool good = peer_say_hello(fd);
   while (good && peer_receive(fd, &request)) {
@@ -252,56 +299,135 @@ static void answer_requests(int fd, void *context) {
     }
     good = peer_send(fd, (uint16_t)(request.header.type | WIRE_REPLY), request.header.request_id,
                      ping ? request.payload : with->payload,
-                     ping ? request.header.payload_bytes : with->payload_bytes);
+                     ping ? request.header.payload_bytes : with->count - WIRE_BYTES_header);
     free(request.payload);
   }
 }
 
-static const dipole_table_query skin_query = {
-    .model = CORE_MODEL_BETTER, .moments = DIPOLE_EXACT, .medium = {0.032, 0.74, 0, 1.3}};
-
-/* Fetches a table from a peer that answers with this payload. Returns NULL if the call fails, which
- * must be with kind PROTOCOL. */
-static dipole_table *fetch(const dipole_table_query *query, const uint8_t *payload,
-                           size_t payload_bytes) {
-  answer with = {payload, payload_bytes};
+/* Checks that a fetch from a peer that answers so fails with this kind of error, and that the client
+ * is used no more if the answer was wrong. */
+static void assert_not_fetched(const made_table *with, const dipole_table_query *query,
+                               enum dipole_error_kind kind) {
+  made_table context = *with;
   scripted_peer peer;
   dipole_table *table = NULL;
+  dipole_surface *surface = NULL;
   dipole_error error = {0};
-  dipole_client *client = peer_begin(&peer, answer_requests, &with);
-  const bool good = dipole_table_fetch(client, query, &table, &error);
-  assert_int_equal(good, table != NULL);
-  assert_int_equal(dipole_ping(client, NULL), good);
-  assert_int_equal(error.kind, good ? DIPOLE_ERROR_NONE : DIPOLE_ERROR_PROTOCOL);
+  dipole_client *client = peer_begin(&peer, answer_requests, &context);
+  assert_false(with->is_surface ? dipole_surface_fetch(client, query, &surface, &error)
+                                : dipole_table_fetch(client, query, &table, &error));
+  assert_int_equal(error.kind, kind);
+  assert_true(table == NULL && surface == NULL);
+  assert_int_equal(dipole_ping(client, NULL), kind == DIPOLE_ERROR_ARGUMENT);
   peer_finish(&peer, client);
-  return table;
 }
 
 UNIT_TEST(other_answers_are_refused) {
-  made_table made = make("better", skin);
-  uint8_t *payload = made.bytes + WIRE_BYTES_header;
-  const size_t bytes = made.count - WIRE_BYTES_header;
-  const dipole_parameter tolerance = {CORE_PARAMETER_TOLERANCE, 1e-3};
-  dipole_table_query others[6];
-  for (size_t i = 0; i < 6; i++) {
-    others[i] = skin_query;
+  made_table table = make("better", skin), surface = make_surface();
+  const dipole_table_query of_table = {
+      .model = CORE_MODEL_BETTER, .moments = DIPOLE_EXACT, .medium = {0.032, 0.74, 0, 1.3}};
+  const dipole_table_query of_surface = {.model = CORE_MODEL_TRANSPORT,
+                                         .moments = DIPOLE_EXACT,
+                                         .medium = {0, 0, 0.8, 1.4},
+                                         .parameters = &tolerance,
+                                         .parameter_count = 1};
+  const dipole_parameter looser = {CORE_PARAMETER_TOLERANCE, 0.02};
+  for (int k = 0; k < 2; k++) {
+    const dipole_table_query right = k == 0 ? of_table : of_surface;
+    dipole_table_query others[6] = {right, right, right, right, right, right};
+    others[0].model = CORE_MODEL_CLASSICAL;
+    others[1].moments = DIPOLE_FIT;
+    others[2].medium.g = 0.5;
+    others[3].medium.eta = 1.35;
+    others[4].parameter_count = 1 - right.parameter_count;
+    others[4].parameters = &tolerance;
+    others[5].parameters = &looser;
+    others[5].parameter_count = 1;
+    for (size_t i = 0; i < 6; i++) {
+      assert_not_fetched(k == 0 ? &table : &surface, &others[i], DIPOLE_ERROR_PROTOCOL);
+    }
+    others[0] = right;
+    others[0].medium.sigma_s_per_mm += 1;
+    assert_not_fetched(k == 0 ? &table : &surface, &others[0],
+                       k == 0 ? DIPOLE_ERROR_PROTOCOL : DIPOLE_ERROR_ARGUMENT);
   }
-  others[0].model++;
-  others[1].moments++;
-  others[2].medium.sigma_a_per_mm *= 2;
-  others[3].medium.g = 0.5;
-  others[4].medium.eta = 1.4;
-  others[5].parameters = &tolerance;
-  others[5].parameter_count = 1;
-  for (size_t i = 0; i < 6; i++) {
-    assert_null(fetch(&others[i], payload, bytes));
+  static const size_t counts[] = {0, 8};
+  made_table shorter = table;
+  for (size_t i = 0; i < 3; i++) {
+    shorter.count = i < 2 ? WIRE_BYTES_header + counts[i] : table.count - 8;
+    assert_not_fetched(&shorter, &of_table, DIPOLE_ERROR_PROTOCOL);
   }
-  assert_null(fetch(&skin_query, payload, bytes - 8));
-  assert_null(fetch(&skin_query, payload, 8));
-  assert_null(fetch(&skin_query, payload, 0));
-  payload[bytes - 1] ^= 1;
-  assert_null(fetch(&skin_query, payload, bytes));
-  unmake(&made);
+  table.bytes[table.count - 1] ^= 1;
+  assert_not_fetched(&table, &of_table, DIPOLE_ERROR_PROTOCOL);
+  unmake(&table);
+  unmake(&surface);
+}
+
+/* ---- queries that are wrong ---------------------------------------------------------------- */
+
+static void assert_refused(const dipole_surface *surface, const dipole_varying_query *query) {
+  dipole_varying_result *result = NULL;
+  dipole_error error = {0};
+  assert_false(dipole_varying_at_home(surface, query, &result, &error));
+  assert_int_equal(error.kind, DIPOLE_ERROR_ARGUMENT);
+  assert_string_not_equal(error.text, "");
+  assert_null(result);
+}
+
+UNIT_TEST(queries_of_other_media_are_refused) {
+  const dipole_parameter other = {CORE_PARAMETER_TOLERANCE, 1e-3};
+  const dipole_parameter two[] = {{CORE_PARAMETER_TOLERANCE, 0.01}, {CORE_PARAMETER_GAMMA, 1}};
+  static const float numbers[] = {0.5F, 1};
+  made_table of = make_surface();
+  dipole_surface *surface = load_surface(&of);
+  const dipole_varying_query right = {.model = CORE_MODEL_TRANSPORT,
+                                      .evaluator = DIPOLE_F32,
+                                      .moments = DIPOLE_EXACT,
+                                      .wanted = DIPOLE_R,
+                                      .g = 0.8,
+                                      .eta = 1.4,
+                                      .sigma_a_per_mm = numbers,
+                                      .sigma_s_per_mm = numbers,
+                                      .radii = numbers,
+                                      .value_count = 2,
+                                      .parameters = &tolerance,
+                                      .parameter_count = 1};
+  dipole_varying_result *result;
+  assert_true(dipole_varying_at_home(surface, &right, &result, NULL));
+  dipole_varying_result_free(result);
+#define WITH(field, value)                                                                         \
+  do {                                                                                             \
+    dipole_varying_query wrong = right;                                                            \
+    wrong.field = (value);                                                                         \
+    assert_refused(surface, &wrong);                                                               \
+  } while (0)
+  WITH(model, CORE_MODEL_BETTER);
+  WITH(model, 0);
+  WITH(moments, DIPOLE_FIT);
+  WITH(g, 0);
+  WITH(g, (double)NAN);
+  WITH(eta, 1.3);
+  WITH(parameters, &other);
+  WITH(parameter_count, 0);
+  WITH(evaluator, DIPOLE_LUT);
+  WITH(wanted, DIPOLE_RADIUS);
+  WITH(wanted, 1u << 14);
+  WITH(coefficients, 8);
+  WITH(sigma_a_per_mm, NULL);
+  WITH(colours, right.sigma_a_per_mm);
+  WITH(given, DIPOLE_MEAN_FREE_PATH);
+  WITH(light, DIPOLE_BEAM);
+  WITH(specular, true);
+  WITH(radii, NULL);
+  WITH(numbers, right.radii);
+  WITH(value_count, UINT64_MAX);
+#undef WITH
+  dipole_varying_query wrong = right;
+  wrong.parameters = two;
+  wrong.parameter_count = 2;
+  assert_refused(surface, &wrong);
+  dipole_surface_free(surface);
+  unmake(&of);
 }
 
 /* ---- without a daemon ---------------------------------------------------------------------- */
