@@ -12,7 +12,8 @@ core_radii_range core_table_pieces(const core_profile *profile) {
 }
 
 bool core_table_has(enum core_quantity quantity) {
-  return (quantity & (CORE_QUANTITY_R | CORE_QUANTITY_CDF | CORE_MULTIPLES)) != 0;
+  const bool one = (quantity & (quantity - 1)) == 0;
+  return one && (quantity & (CORE_QUANTITY_R | CORE_QUANTITY_CDF | CORE_MULTIPLES)) != 0;
 }
 
 /* Returns the exponent of the least radius of the samples. A peer may have sent any bits: the
