@@ -13,6 +13,10 @@
 #include <stdint.h>
 #include <string.h>
 
+#ifdef __SSE2__
+#include <immintrin.h>
+#endif
+
 static inline uint32_t lane_bits(float x) {
   uint32_t bits;
   memcpy(&bits, &x, sizeof bits);
@@ -43,39 +47,55 @@ static inline float lane_select(lane_mask mask, float yes, float no) {
 
 /* ---- random numbers -------------------------------------------------------------------------- */
 
-typedef struct lane_random {
-  uint32_t word[4];
-} lane_random;
-
-/* The type in which Philox keeps a word of 32 bits. Instruction sets with products of 64 bits use
- * 64 bits, so that no words have to move between lanes; others use 32 bits. */
-#ifdef __AVX512DQ__
-typedef uint64_t lane_word;
+/* Words of 32 bits in the lower halves of 64 bits each: as many as a register holds. What stands in the
+ * upper halves has no meaning. lane_products() returns their products with b. */
+#if defined __AVX512F__
+typedef uint64_t lane_words __attribute__((vector_size(64)));
+static inline lane_words lane_products(lane_words a, uint32_t b) {
+  return (lane_words)_mm512_mul_epu32((__m512i)a, _mm512_set1_epi64(b));
+}
+#elif defined __AVX2__
+typedef uint64_t lane_words __attribute__((vector_size(32)));
+static inline lane_words lane_products(lane_words a, uint32_t b) {
+  return (lane_words)_mm256_mul_epu32((__m256i)a, _mm256_set1_epi64x(b));
+}
+#elif defined __SSE2__
+typedef uint64_t lane_words __attribute__((vector_size(16)));
+static inline lane_words lane_products(lane_words a, uint32_t b) {
+  return (lane_words)_mm_mul_epu32((__m128i)a, _mm_set1_epi64x(b));
+}
 #else
-typedef uint32_t lane_word;
+typedef uint64_t lane_words;
+static inline lane_words lane_products(lane_words a, uint32_t b) {
+  return (uint64_t)(uint32_t)a * b;
+}
 #endif
+
+typedef struct lane_random {
+  lane_words word[4];
+} lane_random;
 
 /* Philox4x32-10: J. Salmon, M. Moraes, R. Dror, D. Shaw, "Parallel Random Numbers: As Easy as 1, 2,
  * 3", 2011. For each key it is a bijection of the counter, so a photon's random numbers depend only
- * on its own counter. If lane_word has 64 bits, the upper halves of c1 and c3 are garbage. */
-static inline lane_random lane_philox(const uint32_t counter[4], const uint32_t key[2]) {
-  lane_word c0 = counter[0];
-  lane_word c1 = counter[1];
-  lane_word c2 = counter[2];
-  lane_word c3 = counter[3];
+ * on its own counter. */
+static inline lane_random lane_philox(lane_random counter, const uint32_t key[2]) {
+  lane_words c0 = counter.word[0];
+  lane_words c1 = counter.word[1];
+  lane_words c2 = counter.word[2];
+  lane_words c3 = counter.word[3];
   uint32_t k0 = key[0];
   uint32_t k1 = key[1];
   for (int round = 0; round < 10; round++) {
-    const uint64_t product0 = (uint64_t)c0 * UINT32_C(0xd2511f53);
-    const uint64_t product1 = (uint64_t)c2 * UINT32_C(0xcd9e8d57);
-    c0 = ((lane_word)(product1 >> 32) ^ c1 ^ k0) & UINT32_MAX;
-    c1 = (lane_word)product1;
-    c2 = ((lane_word)(product0 >> 32) ^ c3 ^ k1) & UINT32_MAX;
-    c3 = (lane_word)product0;
+    const lane_words product0 = lane_products(c0, UINT32_C(0xd2511f53));
+    const lane_words product1 = lane_products(c2, UINT32_C(0xcd9e8d57));
+    c0 = product1 >> 32 ^ c1 ^ k0;
+    c1 = product1;
+    c2 = product0 >> 32 ^ c3 ^ k1;
+    c3 = product0;
     k0 += UINT32_C(0x9e3779b9);
     k1 += UINT32_C(0xbb67ae85);
   }
-  return (lane_random){{(uint32_t)c0, (uint32_t)c1, (uint32_t)c2, (uint32_t)c3}};
+  return (lane_random){{c0, c1, c2, c3}};
 }
 
 /* A number v from (0, 1) and w = 1 - v, each to the relative precision of float. v is one of the

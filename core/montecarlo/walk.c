@@ -305,14 +305,19 @@ typedef struct random_words {
 static inline void draw_numbers(const walk_medium *m, size_t lanes, const uint32_t *restrict c0,
                                 const uint32_t *restrict c1, uint32_t c2, uint32_t c3,
                                 random_words *restrict random) {
-  const uint32_t key[2] = {m->key[0], m->key[1]};
-  for (size_t i = 0; i < lanes; i++) {
-    const uint32_t counter[4] = {c0[i], c1[i], c2, c3};
-    const lane_random drawn = lane_philox(counter, key);
-    random->word[0][i] = drawn.word[0];
-    random->word[1][i] = drawn.word[1];
-    random->word[2][i] = drawn.word[2];
-    random->word[3][i] = drawn.word[3];
+  const lane_words none = {0}, third = none + c2, fourth = none + c3;
+  for (size_t i = 0; i < lanes; i += sizeof none / sizeof *c0) {
+    lane_words first,
+        second; /* of lanes in the lower halves, and of their neighbours in the upper */
+    memcpy(&first, &c0[i], sizeof first);
+    memcpy(&second, &c1[i], sizeof second);
+    const lane_random lower = lane_philox((lane_random){{first, second, third, fourth}}, m->key);
+    const lane_random upper =
+        lane_philox((lane_random){{first >> 32, second >> 32, third, fourth}}, m->key);
+    for (int k = 0; k < 4; k++) {
+      const lane_words both = (lower.word[k] & UINT32_MAX) | upper.word[k] << 32;
+      memcpy(&random->word[k][i], &both, sizeof both);
+    }
   }
 }
 
@@ -347,30 +352,47 @@ static inline void weigh(const walk_medium *m, walk_lanes *restrict w, size_t i,
   w->fate[i] |= dies & WALK_ENDED;
 }
 
+/* What a step knows of each lane before its flight. */
+struct departure {
+  float cosine[WALK_LANES], sine[WALK_LANES]; /* of the azimuth */
+  float path[WALK_LANES];
+  float ux[WALK_LANES], uy[WALK_LANES], uz[WALK_LANES]; /* direction after scattering */
+};
+
 /* Walks the lanes one step. phase and geometry repeat the medium's fields as constants, so that the
- * compiler makes a separate loop for each combination. */
+ * compiler makes separate loops for each combination. There are three loops, as processors look ahead
+ * too little to overlap lanes in a single one: its chain of dependent operations is too long. */
 static inline __attribute__((always_inline)) void
 step(const walk_medium *medium, const random_words *restrict random, size_t lanes,
      walk_lanes *restrict w, enum walk_phase phase, enum walk_geometry geometry) {
   const walk_medium m = *medium;
+  struct departure d;
   const size_t whole_groups = lanes & ~(size_t)(WALK_GROUP - 1);
   for (size_t i = 0; i < whole_groups; i++) {
     const lane_direction azimuth = lane_azimuth(random->word[1][i]);
     const lane_uniform flight = lane_uniform_from(random->word[2][i]);
-    const lane_uniform chance = lane_uniform_from(random->word[3][i]);
-
+    d.cosine[i] = azimuth.cosine;
+    d.sine[i] = azimuth.sine;
+    d.path[i] = lane_minus_log(flight.v, flight.w);
+  }
+  for (size_t i = 0; i < whole_groups; i++) {
+    const lane_direction azimuth = {d.cosine[i], d.sine[i]};
     const struct vector before = {w->ux[i], w->uy[i], w->uz[i]};
     const int32_t layer = geometry == WALK_LAYERS ? w->layer[i] : 0;
     const lane_mask collided = geometry == WALK_LAYERS ? w->collided[i] : ~UINT32_C(0);
     const struct vector scattered = scatter(&m, layer, before, random->word[0][i], azimuth, phase);
-    const struct vector u = {lane_select(collided, scattered.x, before.x),
-                             lane_select(collided, scattered.y, before.y),
-                             lane_select(collided, scattered.z, before.z)};
-    const float path = lane_minus_log(flight.v, flight.w);
+    d.ux[i] = lane_select(collided, scattered.x, before.x);
+    d.uy[i] = lane_select(collided, scattered.y, before.y);
+    d.uz[i] = lane_select(collided, scattered.z, before.z);
+  }
+  for (size_t i = 0; i < whole_groups; i++) {
+    const lane_uniform chance = lane_uniform_from(random->word[3][i]);
+    const int32_t layer = geometry == WALK_LAYERS ? w->layer[i] : 0;
+    const struct vector u = {d.ux[i], d.uy[i], d.uz[i]};
     const struct landing landing =
-        geometry == WALK_LAYERS ? land_in_layers(&m, layer, w->z[i], u, path, chance)
-        : geometry == WALK_SLAB ? land_in_slab(&m, w->z[i], u, path, chance)
-                                : land_in_half_space(&m, w->z[i], u, path, chance);
+        geometry == WALK_LAYERS ? land_in_layers(&m, layer, w->z[i], u, d.path[i], chance)
+        : geometry == WALK_SLAB ? land_in_slab(&m, w->z[i], u, d.path[i], chance)
+                                : land_in_half_space(&m, w->z[i], u, d.path[i], chance);
     const uint32_t collisions = w->collisions[i] + (~landing.leaves & 1);
     const lane_mask ended = lane_mask_if(collisions == w->last[i]);
     w->x[i] += u.x * landing.flown;
