@@ -34,8 +34,9 @@ typedef double pair __attribute__((vector_size(2 * sizeof(double))));
  * groups, the longest first, and an empty one makes their number even. The groups are stored by i,
  * then by their place in the block, then by block. */
 struct packed {
-  size_t terms;            /* of k for a panel, of j for a total */
-  size_t of_albedo;        /* of i */
+  size_t terms;      /* of k for a panel, of j for a total */
+  size_t of_albedo;  /* of i */
+  size_t blocks_end; /* blocks of one i have smaller indices l TERMS_MAX + j, or l TERMS_MAX */
   size_t first[TERMS_MAX]; /* index of the weight of the first block of each i */
   uint16_t *weight;        /* of each block: l TERMS_MAX + j for a panel, l for a total */
   uint32_t at[TERMS_MAX][GROUPS_MAX + 1]; /* where the groups of each i and place begin, and end */
@@ -190,9 +191,10 @@ static void read_series(const uint8_t **at, bool of_g, bool is_total, struct pac
           const int32_t c = read_integer(at);
           const size_t inner = is_total ? j : k;
           series->terms = inner < series->terms ? series->terms : inner + 1;
-          const size_t block = (i * TERMS_MAX + l) * TERMS_MAX + (is_total ? 0 : j);
+          const size_t of_i = l * TERMS_MAX + (is_total ? 0 : j), block = i * BLOCKS_MAX + of_i;
           if (rank == NULL) {
             count[block] = (uint8_t)(inner + 1);
+            series->blocks_end = of_i < series->blocks_end ? series->blocks_end : of_i + 1;
           } else {
             series->groups[series->at[i][inner / LANES] + rank[block]][inner % LANES] = c;
           }
@@ -208,7 +210,7 @@ static void read_series(const uint8_t **at, bool of_g, bool is_total, struct pac
 static size_t sort_blocks(struct packed *series, size_t i, bool is_total, const uint8_t *count,
                           uint16_t *rank, size_t blocks, size_t *groups) {
   size_t longer[GROUPS_MAX + 1] = {0}; /* number of blocks with more groups than the index */
-  for (size_t b = 0; b < BLOCKS_MAX; b++) {
+  for (size_t b = 0; b < series->blocks_end; b++) {
     for (size_t place = 0; place * LANES < count[b]; place++) {
       longer[place]++;
     }
@@ -219,7 +221,7 @@ static size_t sort_blocks(struct packed *series, size_t i, bool is_total, const 
     *groups += longer[place] + longer[place] % 2;
   }
   const size_t number = longer[0] + longer[0] % 2;
-  for (size_t b = 0; b < BLOCKS_MAX; b++) {
+  for (size_t b = 0; b < series->blocks_end; b++) {
     if (count[b] > 0) {
       rank[b] = (uint16_t)longer[(count[b] + LANES - 1u) / LANES]++;
       series->weight[blocks + rank[b]] = (uint16_t)(is_total ? b / TERMS_MAX : b);
@@ -231,8 +233,10 @@ static size_t sort_blocks(struct packed *series, size_t i, bool is_total, const 
 /* Allocates a series and sets its blocks from count[]. Returns false if memory runs out. */
 static bool lay_blocks(struct packed *series, bool is_total, const uint8_t *count, uint16_t *rank) {
   size_t blocks = series->of_albedo, groups = 0;
-  for (size_t b = 0; b < series->of_albedo * BLOCKS_MAX; b++) {
-    blocks += count[b] > 0;
+  for (size_t i = 0; i < series->of_albedo; i++) {
+    for (size_t b = 0; b < series->blocks_end; b++) {
+      blocks += count[i * BLOCKS_MAX + b] > 0;
+    }
   }
   series->weight = calloc(blocks + 1, sizeof *series->weight);
   blocks = 0;
