@@ -411,6 +411,16 @@ static void set_initial(uint16_t image[REGISTERS_END], const registers_field *fi
   }
 }
 
+void registers_clear(uint16_t image[REGISTERS_END], const registers_job *job) {
+  for (const registers_field *field = registers_fields; field->name != NULL; field++) {
+    if (field->access == REGISTERS_RO && block_at[field->address] == block_at[job->status] &&
+        field->address > job->status + REGISTERS_BEHIND_COUNT &&
+        field->address != job->error_text) {
+      set_initial(image, field);
+    }
+  }
+}
+
 static uint16_t swapped(uint16_t word) {
   return (uint16_t)(word << 8 | word >> 8);
 }

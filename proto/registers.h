@@ -142,6 +142,9 @@ void registers_reset(uint16_t image[REGISTERS_END]);
 /* Returns true if `count` registers, at least 1, can all be read from an address on. */
 bool registers_readable(unsigned address, unsigned count);
 
+/* Sets the results of a job to what they are before the first ones. */
+void registers_clear(uint16_t image[REGISTERS_END], const registers_job *job);
+
 /* Checks a write of `count` registers from an address on. `values` holds them as in a PDU. First it
  * checks that all of them are writable and each value is whole, then that each value is in its
  * range. Returns status OK, BAD_ADDRESS or BAD_VALUE. With a fault, *at is the first register of

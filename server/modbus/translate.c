@@ -9,7 +9,7 @@
 
 enum {
   LINKS_MAX = 24,      /* most fields of a structure that have registers */
-  STRUCTURES_MAX = 24, /* most structures of requests and replies */
+  STRUCTURES_MAX = 32, /* most structures of requests and replies */
   NAME_BYTES = 64,
 };
 
@@ -469,27 +469,45 @@ static void take_sample(const uint8_t *request, const uint8_t *reply, size_t rep
   registers_set_u16(image, REGISTERS_AT_SAMPLE_NOTES, start.notes);
 }
 
+/* Sets the registers of a reply's numbers by their names: of its structure, of lists of structures and of
+ * arrays. Registers that get none become NaN. */
+static void set_reply(enum registers_job_kind kind, const uint8_t *reply, size_t reply_bytes,
+                      uint16_t image[REGISTERS_END], schema_layout *layout) {
+  const schema_payload *payload = message_of(kind)->reply;
+  const bool whole = schema_is_whole(payload, reply, reply_bytes, layout);
+  assert(whole);
+  registers_clear(image, &registers_jobs[kind]);
+  set_fields(kind, payload->structures[0], "", reply, 0, image);
+  for (unsigned i = 0; payload->parts[i].name != NULL; i++) {
+    const schema_part *part = &payload->parts[i];
+    const unsigned count = (unsigned)layout->parts[i].count;
+    const struct values values = {reply + layout->parts[i].at, sizeof(double)};
+    const bool named = strcmp(part->name, "estimates") == 0;
+    const registers_field *to =
+        part->kind == SCHEMA_f64 ? registers_named(&registers_jobs[kind], part->name, true) : NULL;
+    for (unsigned k = 0; part->kind == SCHEMA_LIST && k < count; k++) {
+      set_fields(kind, part->structure, named ? "estimate_" : "",
+                 values.at + k * part->structure->bytes, k, image);
+    }
+    if (to != NULL) {
+      set_values(image, to->address, 0, &values, count, 0);
+    }
+  }
+}
+
 static void take_invert(const uint8_t *request, const uint8_t *reply, size_t reply_bytes,
                         uint16_t image[REGISTERS_END]) {
-  static const unsigned at[INVERT_ARRAYS] = {
-      REGISTERS_AT_INVERT_SIGMA_A, REGISTERS_AT_INVERT_SIGMA_S, REGISTERS_AT_INVERT_ALBEDO_FOUND};
+  schema_layout layout;
   (void)request;
-  wire_invert_reply start;
-  const bool whole = invert_reply_parse(reply, reply_bytes, &start);
-  assert(whole && start.part_count == 1 && start.count <= REGISTERS_RADII_MAX);
-  const unsigned count = (unsigned)start.count;
-  const unsigned before = registers_u16(image, REGISTERS_AT_INVERT_COUNT);
-  for (unsigned i = 0; i < INVERT_ARRAYS; i++) {
-    const struct values values = {reply + invert_array_offset(i, count), sizeof(double)};
-    set_values(image, at[i], 0, &values, count, before);
-  }
-  set_fields(REGISTERS_JOB_INVERT, STRUCTURE(invert_reply), "", reply, 0, image);
+  set_reply(REGISTERS_JOB_INVERT, reply, reply_bytes, image, &layout);
 }
 
 /* Writes the progress of an mc job, which every reply to its request has. */
 static void set_progress(uint16_t image[REGISTERS_END], const wire_mc_reply *reply) {
   const double expected = (double)reply->photons_expected;
-  const double progress = expected > 0 ? (double)reply->photons / expected : 0;
+  const double progress = reply->state != MC_UNDER_WAY ? 1
+                          : expected > 0               ? (double)reply->photons / expected
+                                                       : 0;
   registers_set_f32(image, REGISTERS_AT_MC_PROGRESS, (float)progress);
   registers_set_f32(image, REGISTERS_AT_MC_PHOTONS_WALKED, (float)reply->photons);
   registers_set_f32(image, REGISTERS_AT_MC_PHOTONS_EXPECTED, (float)expected);
@@ -503,32 +521,20 @@ static void take_mc(const uint8_t *request, const uint8_t *reply, size_t reply_b
       {REGISTERS_AT_MC_R, REGISTERS_AT_MC_R_ERROR},
       {REGISTERS_AT_MC_T, REGISTERS_AT_MC_T_ERROR},
   };
-  (void)request;
   wire_mc_reply start;
   schema_layout layout;
-  const bool whole = mc_reply_parse(reply, reply_bytes, &start, &layout);
-  assert(whole);
+  (void)request;
+  wire_get_mc_reply(reply, &start);
+  if (start.state != MC_UNDER_WAY) {
+    set_reply(REGISTERS_JOB_MC, reply, reply_bytes, image, &layout);
+    registers_set_u16(image, REGISTERS_AT_MC_COUNT, start.ring_count);
+  }
   set_progress(image, &start);
-  if (start.state == MC_UNDER_WAY) {
-    return;
+  for (unsigned i = 0; i < 2U * start.side_count && start.state != MC_UNDER_WAY; i++) {
+    const struct values values = {reply + mc_rings_offset(&layout, 0, i / 2, i % 2),
+                                  sizeof(double)};
+    set_values(image, at[i / 2][i % 2], 0, &values, start.ring_count, 0);
   }
-  set_fields(REGISTERS_JOB_MC, STRUCTURE(mc_energy), "", reply + layout.parts[MC_ENERGIES].at, 0,
-             image);
-  const unsigned count = start.ring_count;
-  const unsigned before = registers_u16(image, REGISTERS_AT_MC_COUNT);
-  const struct values edges = {reply + layout.parts[MC_EDGES].at, sizeof(double)};
-  set_values(image, REGISTERS_AT_MC_EDGES, 0, &edges, count + 1, before > 0 ? before + 1 : 0);
-  for (unsigned i = 0; i < 2 * CORE_MC_SIDES; i++) {
-    const unsigned side = i / 2;
-    struct values values = {NULL, sizeof(double)};
-    if (side < start.side_count) {
-      values.at = reply + mc_rings_offset(&layout, 0, side, i % 2);
-    }
-    set_values(image, at[side][i % 2], 0, &values, count, before);
-  }
-  registers_set_u16(image, REGISTERS_AT_MC_COUNT, count);
-  registers_set_u16(image, REGISTERS_AT_MC_STATE, start.state);
-  registers_set_f32(image, REGISTERS_AT_MC_PROGRESS, 1);
 }
 
 /* Names the reading that is wrong. Registers are finite: a value that is not was divided by a reference
@@ -561,69 +567,34 @@ static void set_fitted(uint16_t image[REGISTERS_END], const uint8_t *request,
   registers_set_f32(image, REGISTERS_AT_FIT_SIGMA_A_ERROR, root(fitted->variance_a));
   registers_set_f32(image, REGISTERS_AT_FIT_SIGMA_S_PRIME_ERROR, root(fitted->variance_s));
   registers_set_f32(image, REGISTERS_AT_FIT_FACTOR_ERROR, root(fitted->variance_factor));
-  registers_set_u16(image, REGISTERS_AT_FIT_FIT_STATUS, fitted->status);
   registers_set_text(image, REGISTERS_AT_FIT_FIT_STATUS_NAME, REGISTERS_FIT_STATUS_NAME_BYTES / 2,
                      core_choice_by_id(core_fit_statuses, fitted->status)->name);
 }
 
-static enum registers_status take_fit(const uint8_t *request, const uint8_t *reply,
-                                      size_t reply_bytes, uint16_t image[REGISTERS_END],
-                                      wire_error *error) {
-  wire_fit_reply start;
+static enum registers_status take_fit(enum registers_job_kind kind, const uint8_t *request,
+                                      const uint8_t *reply, size_t reply_bytes,
+                                      uint16_t image[REGISTERS_END], wire_error *error) {
+  const registers_job *job = &registers_jobs[kind];
+  const bool tissue = kind == REGISTERS_JOB_FIT_TISSUE;
+  const uint8_t *set = reply + message_of(kind)->reply->fixed_bytes;
   wire_fitted fitted;
-  const bool whole = fit_reply_parse(reply, reply_bytes, &start);
-  assert(whole && start.count == 1 && start.reading_count <= REGISTERS_FIT_READINGS_MAX);
-  wire_get_fitted(reply + WIRE_BYTES_fit_reply, &fitted);
-  if (fitted.status == CORE_FIT_STATUS_REFUSED) {
-    *error = wrong_reading(fitted.field, fitted.index);
-    return REGISTERS_STATUS_ERROR;
-  }
-  set_fields(REGISTERS_JOB_FIT, STRUCTURE(fitted), "", reply + WIRE_BYTES_fit_reply, 0, image);
-  set_fitted(image, request, &fitted);
-  const struct values residuals = {reply + fit_residuals_offset(1), sizeof(double)};
-  set_values(image, REGISTERS_AT_FIT_RESIDUAL, 0, &residuals, start.reading_count,
-             registers_u16(image, REGISTERS_AT_FIT_COUNT));
-  registers_set_u16(image, REGISTERS_AT_FIT_COUNT, start.reading_count);
-  registers_set_u16(image, REGISTERS_AT_FIT_NOTES, start.notes);
-  return fitted.status == CORE_FIT_STATUS_FITTED ? REGISTERS_STATUS_DONE
-                                                 : REGISTERS_STATUS_UNFITTED;
-}
-
-static enum registers_status take_fit_tissue(const uint8_t *request, const uint8_t *reply,
-                                             size_t reply_bytes, uint16_t image[REGISTERS_END],
-                                             wire_error *error) {
-  const wire_tissue_estimate none = {
-      .value = (double)NAN, .error = (double)NAN, .numerical = (double)NAN};
-  uint8_t absent[WIRE_BYTES_tissue_estimate];
-  wire_fit_tissue_reply start;
-  wire_fitted_tissue fitted;
+  wire_fitted_tissue found;
   schema_layout layout;
-  (void)request;
-  const bool whole = schema_is_whole(&schema_fit_tissue_reply, reply, reply_bytes, &layout);
-  assert(whole);
-  const uint8_t *set = reply + layout.parts[0].at, *estimates = reply + layout.parts[1].at;
-  wire_get_fit_tissue_reply(reply, &start);
-  wire_get_fitted_tissue(set, &fitted);
-  if (fitted.status == CORE_FIT_STATUS_REFUSED) {
-    *error = wrong_reading(fitted.field, fitted.index);
+  wire_get_fitted(set, &fitted);
+  wire_get_fitted_tissue(set, &found);
+  if (fitted.status ==
+      CORE_FIT_STATUS_REFUSED) { /* both begin with the status, and have an index */
+    *error =
+        wrong_reading(tissue ? found.field : fitted.field, tissue ? found.index : fitted.index);
     return REGISTERS_STATUS_ERROR;
   }
-  const unsigned sought = start.sought_count;
-  wire_put_tissue_estimate(absent, &none);
-  set_fields(REGISTERS_JOB_FIT_TISSUE, STRUCTURE(fit_tissue_reply), "", reply, 0, image);
-  set_fields(REGISTERS_JOB_FIT_TISSUE, STRUCTURE(fitted_tissue), "", set, 0, image);
-  registers_set_u16(image, REGISTERS_AT_TISSUE_FIT_STATUS, fitted.status);
-  for (unsigned i = 0; i < REGISTERS_SOUGHT_MAX; i++) {
-    set_fields(REGISTERS_JOB_FIT_TISSUE, STRUCTURE(tissue_estimate), "estimate_",
-               i < sought ? estimates + i * sizeof absent : absent, i, image);
+  set_reply(kind, reply, reply_bytes, image, &layout);
+  if (!tissue) {
+    set_fitted(image, request, &fitted);
   }
-  const struct values covariance = {reply + layout.parts[2].at, sizeof(double)};
-  const struct values residuals = {reply + layout.parts[3].at, sizeof(double)};
-  set_values(image, REGISTERS_AT_TISSUE_COVARIANCE, 0, &covariance, sought * sought,
-             REGISTERS_SOUGHT_MAX * REGISTERS_SOUGHT_MAX);
-  set_values(image, REGISTERS_AT_TISSUE_RESIDUAL, 0, &residuals, start.reading_count,
-             REGISTERS_TISSUE_READINGS_MAX);
-  registers_set_u16(image, REGISTERS_AT_TISSUE_COUNT, start.reading_count);
+  registers_set_u16(image, registers_named(job, "fit_status", true)->address, fitted.status);
+  registers_set_u16(image, job->status + REGISTERS_BEHIND_COUNT,
+                    (unsigned)layout.parts[tissue ? 3 : 1].count);
   return fitted.status == CORE_FIT_STATUS_FITTED ? REGISTERS_STATUS_DONE
                                                  : REGISTERS_STATUS_UNFITTED;
 }
@@ -639,8 +610,7 @@ enum registers_status modbus_translate_reply(enum registers_job_kind kind, const
       [REGISTERS_JOB_MC] = take_mc,
   };
   if (registers_is_fit(kind)) {
-    return (kind == REGISTERS_JOB_FIT ? take_fit : take_fit_tissue)(request, reply, reply_bytes,
-                                                                    image, error);
+    return take_fit(kind, request, reply, reply_bytes, image, error);
   }
   take[kind](request, reply, reply_bytes, image);
   return REGISTERS_STATUS_DONE;
