@@ -118,12 +118,3 @@ wire_fitted fit_result_encode(const core_fit_result *result) {
 uint64_t fit_residuals_offset(uint64_t set_count) {
   return WIRE_BYTES_fit_reply + set_count * WIRE_BYTES_fitted;
 }
-
-bool fit_reply_parse(const uint8_t *payload, size_t payload_bytes, wire_fit_reply *fixed) {
-  schema_layout layout;
-  if (!schema_is_whole(&schema_fit_reply, payload, payload_bytes, &layout)) {
-    return false;
-  }
-  wire_get_fit_reply(payload, fixed);
-  return fixed->part < fixed->part_count && fixed->fitted_count <= fixed->count;
-}

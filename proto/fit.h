@@ -41,8 +41,4 @@ wire_fitted fit_result_encode(const core_fit_result *result);
 /* Returns the offset of the residuals, [set_count][residuals], in the payload of a reply. */
 uint64_t fit_residuals_offset(uint64_t set_count);
 
-/* Parses the fixed part of a reply. Returns false if the payload does not have the shape that its
- * fixed part announces. */
-bool fit_reply_parse(const uint8_t *payload, size_t payload_bytes, wire_fit_reply *fixed);
-
 #endif

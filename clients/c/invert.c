@@ -1,5 +1,4 @@
 /* Finds media for albedos. The parts of a reply are put together as they arrive. */
-#include "proto/invert.h"
 
 #include <stdlib.h>
 #include <string.h>
@@ -71,9 +70,9 @@ bool dipole_invert(dipole_client *client, const dipole_invert_query *query,
   const double *arrays = (const void *)(frame->payload + WIRE_BYTES_invert_reply);
   frame->inversion = (dipole_inversion){.medium_count = fixed->count,
                                         .missing_count = fixed->missing_count,
-                                        .sigma_a_per_mm = arrays + INVERT_SIGMA_A * fixed->count,
-                                        .sigma_s_per_mm = arrays + INVERT_SIGMA_S * fixed->count,
-                                        .albedos = arrays + INVERT_ALBEDO * fixed->count,
+                                        .sigma_a_per_mm = arrays,
+                                        .sigma_s_per_mm = arrays + fixed->count,
+                                        .albedos = arrays + 2 * fixed->count,
                                         .albedo_least = fixed->albedo_least,
                                         .albedo_most = fixed->albedo_most};
   *inversion = &frame->inversion;

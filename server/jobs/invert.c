@@ -2,7 +2,6 @@
 #include <math.h>
 
 #include "core/inverter.h"
-#include "proto/invert.h"
 #include "server/jobs/job.h"
 
 /* The cost of a probe, which finds the albedo of a medium, in radii of a dipole. A slow profile is
@@ -18,7 +17,8 @@ enum {
 
 struct invert_job {
   struct job job;
-  invert_request request;
+  wire_invert_request fixed;
+  const double *albedos, *lengths; /* [fixed.medium_count], in the payload; lengths in mm */
   core_inverter inverter;
   bool reach_known;              /* whether the range of albedos that the model reaches is known */
   bool seeking;                  /* whether the search for the medium at index has begun */
@@ -35,10 +35,9 @@ JOB_STRUCTURE(struct invert_job, invert_of)
 
 /* Checks albedos and lengths. The first loop checks all values without a branch. The second loop
  * runs only if a value is wrong, and finds the first wrong one. */
-static wire_error check_media(const invert_request *request) {
-  const uint64_t count = request->fixed.medium_count;
-  const double *albedos = request->albedos;
-  const double *lengths = request->lengths;
+static wire_error check_media(const struct invert_job *invert) {
+  const uint64_t count = invert->fixed.medium_count;
+  const double *albedos = invert->albedos, *lengths = invert->lengths;
   int good = 1;
   for (uint64_t i = 0; i < count; i++) {
     good &= (albedos[i] >= 0) & (albedos[i] <= 1) & (lengths[i] >= CORE_MEAN_FREE_PATH_MIN_MM) &
@@ -56,12 +55,10 @@ static wire_error check_media(const invert_request *request) {
 
 static wire_error check_invert(struct invert_job *invert, const struct job_request *from) {
   const struct options *options = &invert->job.context->server->options;
-  const wire_error error =
-      invert_request_parse(from->payload, from->header->payload_bytes, &invert->request);
-  if (error.status != WIRE_STATUS_OK) {
-    return error;
-  }
-  const wire_invert_request *fixed = &invert->request.fixed;
+  const wire_invert_request *fixed = &invert->fixed;
+  wire_get_invert_request(from->payload, &invert->fixed);
+  invert->albedos = (const double *)(const void *)(from->payload + from->layout.parts[0].at);
+  invert->lengths = (const double *)(const void *)(from->payload + from->layout.parts[1].at);
   const core_fault fault =
       core_inverter_start(&invert->inverter, fixed->model, fixed->moments,
                           fixed->light == 0 ? CORE_LIGHT_BEAM : fixed->light - 1,
@@ -74,7 +71,7 @@ static wire_error check_invert(struct invert_job *invert, const struct job_reque
     return job_too_large("medium_count", options->max_media,
                          "media of a model that takes long to prepare");
   }
-  return check_media(&invert->request);
+  return check_media(invert);
 }
 
 static uint64_t medium_radii(const struct invert_job *invert) {
@@ -83,7 +80,7 @@ static uint64_t medium_radii(const struct invert_job *invert) {
 
 static enum job_outcome start_invert(struct job *job, const struct job_request *request) {
   struct invert_job *invert = invert_of(job);
-  const wire_invert_request *fixed = &invert->request.fixed;
+  const wire_invert_request *fixed = &invert->fixed;
   wire_error error = check_invert(invert, request);
   if (error.status == WIRE_STATUS_OK) {
     const core_medium medium = {1, 1 / (1 - fixed->g), fixed->g, fixed->eta};
@@ -121,7 +118,7 @@ static enum job_outcome begin_invert_part(struct job *job, uint8_t *payload) {
 }
 
 static enum job_outcome end_invert_part(struct invert_job *invert) {
-  const wire_invert_request *fixed = &invert->request.fixed;
+  const wire_invert_request *fixed = &invert->fixed;
   const wire_invert_reply start = {
       .model = fixed->model,
       .moments = fixed->moments,
@@ -135,21 +132,16 @@ static enum job_outcome end_invert_part(struct invert_job *invert) {
 
 /* ---- looking for media ----------------------------------------------------------------------- */
 
-static double *result_array(const struct invert_job *invert, enum invert_array which) {
-  return (double *)(void *)(invert->parts.payload +
-                            invert_array_offset(which, invert->parts.count));
-}
-
 /* Writes the medium at index, for which the search has ended. */
 static void put_medium(struct invert_job *invert) {
   const core_inverter *inverter = &invert->inverter;
   const bool found = inverter->found;
-  result_array(invert, INVERT_SIGMA_A)[invert->parts.index] =
-      found ? inverter->medium.sigma_a_per_mm : (double)NAN;
-  result_array(invert, INVERT_SIGMA_S)[invert->parts.index] =
-      found ? inverter->medium.sigma_s_per_mm : (double)NAN;
-  result_array(invert, INVERT_ALBEDO)[invert->parts.index] =
-      found ? core_inverter_seen(inverter, inverter->albedo) : (double)NAN;
+  const double results[] = {inverter->medium.sigma_a_per_mm, inverter->medium.sigma_s_per_mm,
+                            found ? core_inverter_seen(inverter, inverter->albedo) : (double)NAN};
+  double *arrays = (double *)(void *)(invert->parts.payload + WIRE_BYTES_invert_reply);
+  for (size_t i = 0; i < sizeof results / sizeof results[0]; i++) {
+    arrays[i * invert->parts.count + invert->parts.index] = found ? results[i] : (double)NAN;
+  }
   invert->missing += !found;
   invert->parts.index++;
   invert->seeking = false;
@@ -158,7 +150,7 @@ static void put_medium(struct invert_job *invert) {
 /* Sets *albedo to the albedo of the medium that the inverter tries next. */
 static enum job_outcome try_medium(struct invert_job *invert, double *albedo) {
   struct job_context *context = invert->job.context;
-  const wire_invert_request *fixed = &invert->request.fixed;
+  const wire_invert_request *fixed = &invert->fixed;
   const uint64_t i = invert->parts.first + invert->parts.index;
   if (!invert->slow) {
     const core_fault fault = core_albedo(context->server->isa, fixed->model, fixed->moments,
@@ -195,8 +187,8 @@ static enum job_outcome seek_medium(struct invert_job *invert) {
   const uint64_t i = invert->parts.first + invert->parts.index;
   if (invert->reach_known && !invert->seeking) {
     invert->seeking = true;
-    if (core_inverter_seek(&invert->inverter, invert->request.albedos[i],
-                           invert->request.fixed.given, invert->request.lengths[i])) {
+    if (core_inverter_seek(&invert->inverter, invert->albedos[i], invert->fixed.given,
+                           invert->lengths[i])) {
       put_medium(invert);
       return JOB_GOES_ON;
     }
@@ -232,5 +224,8 @@ static void end_invert(struct job *job) {
   profiles_return(&invert_of(job)->lookup);
 }
 
-const struct job_kind job_kind_INVERT = {
-    .start = start_invert, .begin_part = begin_invert_part, .step = step_invert, .end = end_invert};
+const struct job_kind job_kind_INVERT = {.request = &schema_invert_request,
+                                         .start = start_invert,
+                                         .begin_part = begin_invert_part,
+                                         .step = step_invert,
+                                         .end = end_invert};

@@ -7,7 +7,6 @@
 
 #include "proto/eval.h"
 #include "proto/fit.h"
-#include "proto/invert.h"
 #include "proto/mc.h"
 #include "proto/registers.h"
 

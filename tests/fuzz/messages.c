@@ -7,7 +7,6 @@
 #include "proto/eval.h"
 #include "proto/fit.h"
 #include "proto/gather.h"
-#include "proto/invert.h"
 #include "proto/mc.h"
 #include "proto/schema.h"
 #include "proto/table.h"
@@ -111,7 +110,6 @@ static void check_design(const fit_request *request, const uint8_t *payload, siz
 static bool decode_request(unsigned type, const uint8_t *payload, size_t size) {
   union {
     eval_request eval;
-    invert_request invert;
     fit_request fit;
     mc_request mc;
     table_request table;
@@ -120,6 +118,7 @@ static bool decode_request(unsigned type, const uint8_t *payload, size_t size) {
     gather_request gather;
   } request;
   core_draw draw;
+  schema_layout layout;
   wire_error error = {.status = WIRE_STATUS_BAD_TYPE};
 #define PARSE(IDENT, name, ...)                                                                    \
   case WIRE_TYPE_##IDENT:                                                                          \
@@ -129,13 +128,15 @@ static bool decode_request(unsigned type, const uint8_t *payload, size_t size) {
     PARSE(EVAL, eval, &request.eval);
     PARSE(OFFERS, eval, &request.eval);
     PARSE(SAMPLE, sample, &draw, &request.eval);
-    PARSE(INVERT, invert, &request.invert);
     PARSE(FIT, fit, &request.fit);
     PARSE(MC, mc, &request.mc);
     PARSE(TABLE, table, &request.table);
     PARSE(VARYING, varying, &request.varying);
     PARSE(POINTS, points, &request.points);
     PARSE(GATHER, gather, &request.gather);
+  case WIRE_TYPE_INVERT:
+    error = schema_check(&schema_invert_request, payload, size, &layout);
+    break;
   default:
     return false;
   }
@@ -224,8 +225,6 @@ void fuzz_check_evaluated(const uint8_t *payload, size_t size, bool drawn) {
 static bool parse_reply(unsigned type, const uint8_t *payload, size_t size) {
   union {
     wire_eval_reply eval;
-    wire_invert_reply invert;
-    wire_fit_reply fit;
     wire_points_reply points;
     wire_varying_reply varying;
     wire_mc_reply mc;
@@ -243,9 +242,9 @@ static bool parse_reply(unsigned type, const uint8_t *payload, size_t size) {
     return eval_reply_parse(payload, size, type == (WIRE_TYPE_SAMPLE | WIRE_REPLY), &fixed.eval,
                             &evaluated);
   case WIRE_TYPE_INVERT:
-    return invert_reply_parse(payload, size, &fixed.invert);
+    return schema_is_whole(&schema_invert_reply, payload, size, &layout);
   case WIRE_TYPE_FIT:
-    return fit_reply_parse(payload, size, &fixed.fit);
+    return schema_is_whole(&schema_fit_reply, payload, size, &layout);
   case WIRE_TYPE_POINTS:
     return points_reply_parse(payload, size, &fixed.points);
   case WIRE_TYPE_GATHER:

@@ -6,7 +6,6 @@
 #include "proto/eval.h"
 #include "proto/fit.h"
 #include "proto/gather.h"
-#include "proto/invert.h"
 #include "proto/mc.h"
 #include "proto/varying.h"
 #include "server/jobs/requests.h"

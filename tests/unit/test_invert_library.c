@@ -3,7 +3,7 @@
 #include <math.h>
 
 #include "proto/eval.h"
-#include "proto/invert.h"
+#include "proto/schema.h"
 #include "tests/unit/peer_scripts.h"
 #include "tests/unit/unit.h"
 
@@ -35,16 +35,15 @@ typedef struct invert_script {
 
 /* Sends a part with made-up media: sigma_a is the wanted albedo, sigma_s the length, and the albedo
  * is 2 sigma_a. */
-static bool send_part(int fd, const peer_frame *frame, const invert_request *request,
+static bool send_part(int fd, const peer_frame *frame, const double *request,
                       wire_invert_reply fixed, const invert_script *script) {
   uint8_t payload[PAYLOAD_MAX] = {0};
   size_t bytes = (size_t)schema_bytes(&schema_invert_reply, &fixed);
   for (uint64_t i = 0; i < fixed.count; i++) {
     const uint64_t at = (fixed.first + i) % MEDIA; /* A wrong part may have too many. */
-    const double albedo = request->albedos[at];
-    const double values[INVERT_ARRAYS] = {albedo, request->lengths[at], 2 * albedo};
-    for (enum invert_array a = INVERT_SIGMA_A; a < INVERT_ARRAYS; a++) {
-      memcpy(payload + invert_array_offset(a, fixed.count) + i * sizeof(double), &values[a],
+    const double albedo = request[at], values[] = {albedo, request[MEDIA + at], 2 * albedo};
+    for (size_t a = 0; a < 3; a++) {
+      memcpy(payload + WIRE_BYTES_invert_reply + (a * fixed.count + i) * sizeof(double), &values[a],
              sizeof(double));
     }
   }
@@ -56,20 +55,22 @@ static bool send_part(int fd, const peer_frame *frame, const invert_request *req
 }
 
 static bool answer_invert(int fd, const peer_frame *frame, const invert_script *script) {
-  invert_request request;
-  if (invert_request_parse(frame->payload, frame->header.payload_bytes, &request).status !=
-      WIRE_STATUS_OK) {
+  wire_invert_request request;
+  schema_layout layout;
+  if (schema_check(&schema_invert_request, frame->payload, frame->header.payload_bytes, &layout)
+          .status != WIRE_STATUS_OK) {
     abort(); /* The library makes only well-formed requests. */
   }
+  wire_get_invert_request(frame->payload, &request);
   uint32_t parts = 0;
   while (script->counts[parts] > 0) {
     parts++;
   }
   uint64_t first = 0;
   for (uint32_t part = 0; part < parts; part++) {
-    const wire_invert_reply fixed = {.model = request.fixed.model,
-                                     .moments = request.fixed.moments,
-                                     .given = request.fixed.given,
+    const wire_invert_reply fixed = {.model = request.model,
+                                     .moments = request.moments,
+                                     .given = request.given,
                                      .part = part,
                                      .part_count = parts,
                                      .count = script->counts[part],
@@ -77,7 +78,7 @@ static bool answer_invert(int fd, const peer_frame *frame, const invert_script *
                                      .missing_count = part % 2,
                                      .albedo_least = 0.125,
                                      .albedo_most = 0.875};
-    if (!send_part(fd, frame, &request, fixed, script)) {
+    if (!send_part(fd, frame, (const void *)(frame->payload + layout.parts[0].at), fixed, script)) {
       return false;
     }
     first += script->counts[part];
