@@ -5,33 +5,17 @@
 
 #include "proto/schema.h"
 
-/* Checks the counts that the scale and the readings need. */
-static wire_error check_readings(const wire_fit_design *design) {
-  const uint32_t unknowns = design->scale == CORE_FIT_SCALE_FREE ? 3 : 2;
-  wire_error error = wire_error_none();
-  if (design->reading_count < unknowns || design->reading_count > CORE_FIT_READINGS_MAX) {
-    error = wire_error_make(WIRE_STATUS_BAD_COUNT, "reading_count",
-                            "2 to 1024, or 3 to 1024 with the scale free");
-    error.index = design->reading_count;
-  }
-  return error;
-}
-
 wire_error fit_request_parse(const uint8_t *payload, size_t payload_bytes, fit_request *request) {
   schema_layout layout;
   core_parameters parameters;
-  wire_error error = schema_check_fields(&schema_fit_request, payload, payload_bytes);
+  const wire_error error = schema_check(&schema_fit_request, payload, payload_bytes, &layout);
   if (error.status != WIRE_STATUS_OK) {
     return error;
   }
   wire_get_fit_request(payload, &request->fixed);
   wire_get_fit_design(payload + WIRE_BYTES_fit_request, &request->design);
-  error = check_readings(&request->design);
-  if (error.status == WIRE_STATUS_OK) {
-    error = schema_check_parts(&schema_fit_request, payload, payload_bytes, &layout);
-  }
-  if (error.status != WIRE_STATUS_OK) {
-    return error;
+  if (request->design.scale == CORE_FIT_SCALE_FREE && request->design.reading_count < 3) {
+    return wire_error_make(WIRE_STATUS_BAD_COUNT, "reading_count", "3 or more with the scale free");
   }
   request->design_bytes = payload + WIRE_BYTES_fit_request;
   request->design_bytes_count = (size_t)layout.parts[FIT_VALUES].at - WIRE_BYTES_fit_request;

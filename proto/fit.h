@@ -29,7 +29,7 @@ typedef struct fit_request {
   const double *errors; /* the same */
 } fit_request;
 
-/* Parses a payload: schema_check(), the count of readings, and the parameters. */
+/* Parses a payload: schema_check(), the readings of a free scale, and the parameters. */
 wire_error fit_request_parse(const uint8_t *payload, size_t payload_bytes, fit_request *request);
 
 /* Reads the design of a request that was parsed; the bytes may be a copy at a multiple of 8. */

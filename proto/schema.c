@@ -233,7 +233,7 @@ wire_error schema_check_value(const schema_field *field, uint64_t bits) {
                                                                           : wire_error_none();
 }
 
-wire_error schema_check_fields(const schema_payload *payload, const uint8_t *bytes, size_t count) {
+static wire_error check_fields(const schema_payload *payload, const uint8_t *bytes, size_t count) {
   if (count < payload->fixed_bytes) {
     return too_short(payload);
   }
@@ -409,13 +409,11 @@ static wire_error check_padding(const schema_payload *payload, const uint8_t *by
 
 wire_error schema_check(const schema_payload *payload, const uint8_t *bytes, size_t count,
                         schema_layout *layout) {
-  const wire_error error = schema_check_fields(payload, bytes, count);
-  return error.status == WIRE_STATUS_OK ? schema_check_parts(payload, bytes, count, layout) : error;
-}
-
-wire_error schema_check_parts(const schema_payload *payload, const uint8_t *bytes, size_t count,
-                              schema_layout *layout) {
   const schema_part *part = NULL;
+  const wire_error error = check_fields(payload, bytes, count);
+  if (error.status != WIRE_STATUS_OK) {
+    return error;
+  }
   if (!schema_lay_out(payload, bytes, count, layout, &part)) {
     return too_many(part);
   }

@@ -180,12 +180,6 @@ wire_error schema_check(const schema_payload *payload, const uint8_t *bytes, siz
 /* Checks one value of a field against its list or range. bits: as on the wire, filled up by zeros. */
 wire_error schema_check_value(const schema_field *field, uint64_t bits);
 
-/* The two halves of schema_check(), for a message that has more to check between them: its length
- * and fields, and its parts. */
-wire_error schema_check_fields(const schema_payload *payload, const uint8_t *bytes, size_t count);
-wire_error schema_check_parts(const schema_payload *payload, const uint8_t *bytes, size_t count,
-                              schema_layout *layout);
-
 /* Returns whether a reply has the length that its structures announce. */
 bool schema_is_whole(const schema_payload *payload, const uint8_t *bytes, uint64_t count,
                      schema_layout *layout);

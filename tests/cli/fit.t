@@ -156,7 +156,7 @@ rising  6.8455e-07   0.68455     0.00069       0.0058       -        -        0.
 errors are standard errors; chi2 is the sum of the squares of (reading - fit) / error
 model error: of R against radiative transport, which is not in the standard errors
 by g: the largest change for g +- .05, since the readings may not determine g
-! dipole fit: sample few: bad-count: reading_count: allowed: 2 to 1024, or 3 to 1024 with the scale free
+! dipole fit: sample few: bad-count: reading_count: allowed: 2 to 1024
 ! dipole fit: sample origin: reading 1 (line 7): bad-value: at: allowed: above 0 without fibres
 ! dipole fit: sample zero: reading 1 (line 3): its error must be above 0, and finite
 ! dipole fit: sample blank: reading 1 (line 5): its error must be above 0, and finite
