@@ -195,7 +195,8 @@ int main(void) {
   put_structures();
   put_scpi();
   print_form("'messages':{");
-#define WIRE_MESSAGE(type, IDENT, name, ...) print_form("'" name "':%u,", U(type));
+#define WIRE_MESSAGE(type, IDENT, name, ROLE, LATENCY, request, reply, about)                      \
+  print_form("'" name "':[%u,'" #request "','" #reply "'],", U(type));
 #include "proto/messages.def"
   print_form("'':0},'lists':[");
 #define WIRE_LIST(kind, IDENT, name, plural, list) put_list(kind, name, list);

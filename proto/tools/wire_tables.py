@@ -24,6 +24,8 @@ def named(entries: dict) -> dict:
     return {name: entry for name, entry in entries.items() if name}
 
 
+MESSAGES = named(LISTS["messages"])
+
 # ---- structures ----------------------------------------------------------------------------------
 
 
@@ -42,10 +44,27 @@ def meaning_of(field: dict) -> str:
     return " ".join(filter(None, ["; ".join(filter(None, parts)), usual and f"[{usual}]"]))
 
 
+def payload_text(name: str) -> str:
+    """Returns the structures with which a payload begins, and the names, kinds and counts of its parts."""
+    parts = LISTS["payloads"].get(name, "-").split("; ")
+    texts: dict[str, list[str]] = {}
+    for part in parts:
+        kind, _, rest = part.partition(" ")
+        array, *condition = rest.split(" ")
+        own, bracket, counts = array.partition("[")
+        texts.setdefault(f"{':' * bool(rest)}{kind}{bracket}{counts}{'?' * bool(condition)}", []).append(own)
+    return " ".join(",".join(names) + text for text, names in texts.items())
+
+
 def table_of(name: str) -> str:
     if name == "statuses":
         rows = [f"{code:<4} {ident:<14} {http}" for code, ident, _, http, _ in STATUSES]
         return "\n".join(["code status         HTTP", *rows])
+    if name == "messages":
+        return "\n".join(
+            f"{type:<2} {name:<10} {payload_text(request)}\n{'':13} {payload_text(reply)}"
+            for name, (type, request, reply) in MESSAGES.items()
+        )
     if name == "quantities":
         return "\n".join(f"{bit:<7} {name:<16} {unit:<12} {about}".rstrip() for bit, _, name, unit, _, about in QUANTITIES)
     fields = STRUCTURES[name]
@@ -202,7 +221,7 @@ def schema_text() -> str:
         f"{field['kind']} {field['name']}" + type_of(field)[len(field["kind"]):] for field in fields
     )
     numbers = {
-        "MESSAGES": named(LISTS["messages"]),
+        "MESSAGES": {name: type for name, (type, *_) in MESSAGES.items()},
         "KINDS": {kind: name for kind, name, _ in LISTS["lists"]},
         "STATUSES": {code: name for code, *_, name in STATUSES},
     }

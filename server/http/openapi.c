@@ -273,14 +273,10 @@ static void put_reply_parts(struct text *text, const schema_payload *reply) {
     put_list(text, "words", "{'type':'integer'}", "32 bits each");
   } else {
     for (const schema_part *part = reply->parts; part->name != NULL; part++) {
-      put_list(text, part->name,
-               part->kind != SCHEMA_LIST                            ? NUMBER
-               : part->structure->fields == FIELDS(estimate)        ? REFERENCE("Estimate")
-               : part->structure->fields == FIELDS(medium)          ? REFERENCE("Coefficients")
-               : part->structure->fields == FIELDS(fitted_tissue)   ? REFERENCE("FittedTissue")
-               : part->structure->fields == FIELDS(tissue_estimate) ? REFERENCE("TissueEstimate")
-                                                                    : REFERENCE("Offer"),
-               part->about);
+      const bool numbers = part->kind != SCHEMA_LIST;
+      put_json(text, ",'%s':{'type':'array','items':", part->name);
+      put_json(text, numbers ? NUMBER : REFERENCE("%s"), numbers ? NULL : part->structure->name);
+      put_json(text, ",'description':%t}", part->about);
     }
   }
 }
@@ -298,6 +294,18 @@ static void put_message_schemas(struct text *text, const schema_message *message
   put_json(text, "}}");
 }
 
+/* Returns whether a reply has a list of these structures. */
+static bool is_listed(const schema_structure *structure) {
+  for (const schema_message *one = schema_messages; one->type != 0; one++) {
+    for (const schema_part *part = one->reply->parts; part->name != NULL; part++) {
+      if (part->structure == structure) {
+        return true;
+      }
+    }
+  }
+  return false;
+}
+
 static void put_schemas(struct text *text) {
   put_json(text,
            ",'Number':{'nullable':true,'description':'A number; infinities are texts. In replies, "
@@ -313,23 +321,22 @@ static void put_schemas(struct text *text) {
   put_properties(text, FIELDS(fitted));
   put_list(text, "residuals", NUMBER, "of the readings, if they are wanted");
   put_json(text, "}}");
-  put_object(text, "Errors", FIELDS(quantity_error));
   begin_object(text, "Gathered", "");
   put_medium(text);
   put_properties(text, FIELDS(quantity_error));
   put_list(text, "M", NUMBER, "W/mm^2; the sums, in the order of the positions");
   put_json(text, "}}");
-  put_object(text, "Offer", FIELDS(offer));
-  put_object(text, "Estimate", FIELDS(estimate));
-  put_object(text, "Balance", FIELDS(balance));
   put_object(text, "Sought", FIELDS(sought));
-  put_object(text, "FittedTissue", FIELDS(fitted_tissue));
-  put_object(text, "TissueEstimate", FIELDS(tissue_estimate));
+  for (int i = 0; i < SCHEMA_STRUCTURES; i++) {
+    if (is_listed(&schema_structures[i])) {
+      put_object(text, schema_structures[i].name, schema_structures[i].fields);
+    }
+  }
   begin_object(text, "Channel", "");
   put_medium(text);
   put_json(text, ",'errors':{'type':'object','description':'of each wanted quantity',"
-                 "'additionalProperties':" REFERENCE("Errors") "},'albedo':" NUMBER
-                                                               ",'balance':" REFERENCE("Balance"));
+                 "'additionalProperties':" REFERENCE(
+                     "quantity_error") "},'albedo':" NUMBER ",'balance':" REFERENCE("balance"));
   for (const core_choice *one = core_quantities; one->name != NULL; one++) {
     if ((one->id & CORE_OF_CHANNEL) == 0) {
       put_list(text, one->name, NUMBER, one->about);

@@ -26,11 +26,6 @@ T = TypeVar("T")
 KEPT_BYTES = 64 << 20  # most bytes of payloads that a client keeps for sending again
 
 PAUSE_FIRST_S = 0.010
-# Requests that may be sent again: all but a cancel, which concerns one connection.
-_REPEATABLE = (
-    "eval", "sample", "invert", "fit", "fit_layers", "fit_tissue", "tissue", "varying", "points", "gather", "offers", "table", "media",
-    "statistics", "ping", "mc",
-)  # fmt: skip
 _COUNTED = ("fitted_count", "missing_count", "computed_count")  # those of some items of a part
 _TEMPORARY = ("busy", "shutting-down", "timeout")
 
@@ -234,7 +229,8 @@ class Exchange:
     def begin(self, request: Request[Any]) -> int:
         """Starts a request; returns its id. The caller then sends what frame() gives."""
         fits = self._kept_bytes + len(request.payload) <= KEPT_BYTES
-        kept = self.retry_s > 0 and request.message in _REPEATABLE and fits
+        # A cancel concerns one connection.
+        kept = self.retry_s > 0 and request.message != "cancel" and fits
         self.last_id += 1
         self._pending[self.last_id] = _Pending(request, kept)
         self._kept_bytes += len(request.payload) if kept else 0

@@ -98,12 +98,10 @@ class Structure:
         self.bytes = self._struct.size  # size of the structure in bytes
 
     def pack(self, **values: Any) -> bytes:
-        """Returns the structure's bytes. Values: every field except those called zero or
-        zero_too."""
+        """Returns the structure's bytes. A number that is left out is 0."""
         flat: list[Any] = []
         for field in self.fields:
-            is_zero = field.name in ("zero", "zero_too")
-            value = values.pop(field.name, 0) if is_zero else values.pop(field.name)
+            value = values.pop(field.name, 0)
             if field.is_array:
                 flat.extend(value)
             else:
