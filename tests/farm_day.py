@@ -11,8 +11,6 @@ runs on this machine, clients included. Figures are printed as those of build/be
 At home means the classical dipole (Jensen et al. 2001) in numpy, in single precision, on one core: a
 value for each that the daemons computed, and for light gathered one for each pair."""
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import io

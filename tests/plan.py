@@ -14,8 +14,6 @@ turns with large requests, so that small ones wait for less than the simulation 
 it with the simulated one. A measurement counts answers per second of processor time that the daemons
 got, so that other programs on the machine do not change it."""
 
-from __future__ import annotations
-
 import argparse
 import heapq
 import math

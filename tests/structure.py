@@ -5,8 +5,6 @@ too, which rules, statuses and limits no line of tests/promises.txt holds.
 A module is a .c file with the .h and .def files of the same name in the same folder. Only includes
 that the sources of FOLDER (by default this repository) write with quotes count."""
 
-from __future__ import annotations
-
 import re
 import sys
 from pathlib import Path

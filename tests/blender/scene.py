@@ -8,8 +8,6 @@ SCENE is {"lines": Python that sets the inputs of `bsdf`, a Principled BSDF} or 
 for each slab the mean and its standard error, of red, green and blue, off the slab's edges; of edges
 of shadow those of each column of pixels."""
 
-from __future__ import annotations
-
 import json
 import sys
 

@@ -1,8 +1,6 @@
 """What Blender's Cycles shows of what `dipole convert` writes: colours in white light from everywhere,
 and edges of shadow, with Debian's Blender 3.4. `python test_furnace.py FILE.svg` draws them."""
 
-from __future__ import annotations
-
 import csv
 import io
 import json

@@ -1,7 +1,5 @@
 """Drives Chromium over its DevTools protocol, by puppeteer-core."""
 
-from __future__ import annotations
-
 import json
 import os
 import queue

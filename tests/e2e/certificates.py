@@ -1,7 +1,5 @@
 """Certificates for tests of TLS, which the command openssl makes, and records of any content."""
 
-from __future__ import annotations
-
 import ctypes
 import hmac
 import signal

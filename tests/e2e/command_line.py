@@ -1,7 +1,5 @@
 """Runs `dipole`, the command line, and reads what it writes."""
 
-from __future__ import annotations
-
 import csv
 import fcntl
 import io
@@ -162,7 +160,7 @@ class Proxy:
         self._thread = threading.Thread(target=self._serve, daemon=True)
         self._thread.start()
 
-    def __enter__(self) -> Proxy:
+    def __enter__(self) -> "Proxy":
         return self
 
     def __exit__(self, *_) -> None:

@@ -1,7 +1,5 @@
 """Fixtures: daemons for one test, and daemons that all tests share."""
 
-from __future__ import annotations
-
 import signal
 import sys
 from pathlib import Path

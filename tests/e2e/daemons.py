@@ -1,7 +1,5 @@
 """Starts a dipoled, reads its log, stops it, and checks that it ended well."""
 
-from __future__ import annotations
-
 import functools
 import os
 import shutil

@@ -1,7 +1,5 @@
 """Builds requests byte by byte, valid and invalid ones, and checks replies."""
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Callable
 from typing import Any

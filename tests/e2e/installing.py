@@ -1,7 +1,5 @@
 """Runs make and other programs, independently of the make that runs the tests."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

@@ -1,8 +1,6 @@
 """Reads the lists of X macros from which the daemon is built, so that tests cover a new entry
 without a change here. Asks a daemon what the lists do not say about a model."""
 
-from __future__ import annotations
-
 import atexit
 import functools
 import math

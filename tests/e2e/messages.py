@@ -2,8 +2,6 @@
 answer, which is the example of PROTOCOL.md, requests that take long or are answered in parts, the
 roles that they need, and the calls of the Python client."""
 
-from __future__ import annotations
-
 import random
 import re
 from typing import Any, NamedTuple

@@ -1,8 +1,6 @@
 """Modbus masters that build every byte themselves, over TCP and over a serial line, and the map of
 registers as proto/registers.def has it."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import re
@@ -214,7 +212,7 @@ class Tcp(Master):
         self.socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self.transaction = 0
 
-    def __enter__(self) -> Tcp:
+    def __enter__(self) -> "Tcp":
         return self
 
     def __exit__(self, *_: object) -> None:

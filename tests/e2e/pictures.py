@@ -1,7 +1,5 @@
 """Reads what `dipole` gives gnuplot to draw, and what gnuplot has drawn."""
 
-from __future__ import annotations
-
 import os
 import re
 import xml.etree.ElementTree as ElementTree

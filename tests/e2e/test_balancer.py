@@ -3,8 +3,6 @@ when a daemon is killed, drained or stopped.
 
 BALANCER_S is for how long test_clients_of_all_kinds() kills and drains: 600 in `make check-nightly`."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import os

@@ -1,8 +1,6 @@
 """Short requests that arrive together are evaluated together. Their answers are the same as those
 of single requests, and in steady state they allocate no memory."""
 
-from __future__ import annotations
-
 import random
 import threading
 

@@ -1,8 +1,6 @@
 """Compiles programs against the installed library, as its users do: pkg-config finds the header,
 the library and its options, and no file of this repository is used."""
 
-from __future__ import annotations
-
 import csv
 import os
 import shutil

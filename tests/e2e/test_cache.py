@@ -1,8 +1,6 @@
 """The cache keeps prepared profiles by content. A profile is prepared once for all clients, memory
 is bounded, and answers do not depend on the cache."""
 
-from __future__ import annotations
-
 import resource
 import socket
 

@@ -6,8 +6,6 @@ status N is not 0. Runs of blanks are alike, and so are numbers within one in a 
 for any text within a line and, alone on a line, for any lines. Lines that start with "## " are
 comments. RECORD=1 in the environment writes what the commands print into the files."""
 
-from __future__ import annotations
-
 import math
 import os
 import re

@@ -1,8 +1,6 @@
 """`dipole bake`: what a file says of its error is what a program finds that reads nothing but the file,
 with the profile R(r) of the medium that the file names."""
 
-from __future__ import annotations
-
 import json
 import math
 import re

@@ -1,7 +1,5 @@
 """`dipole bench`: its figures add up, in every format. No test checks how fast it is."""
 
-from __future__ import annotations
-
 import json
 import re
 

@@ -1,7 +1,5 @@
 """`dipole convert`: from convention to convention and back."""
 
-from __future__ import annotations
-
 import csv
 import io
 import math

@@ -1,7 +1,5 @@
 """`dipole eval`: which daemon it asks, and connections that are lost."""
 
-from __future__ import annotations
-
 from command_line import Proxy, dipole, eval_json
 from daemons import read_log_line
 

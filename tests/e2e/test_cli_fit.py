@@ -1,8 +1,6 @@
 """dipole fit: reads readings by column names, and tells of each sample what was found, or why it is
 no success."""
 
-from __future__ import annotations
-
 import csv
 import io
 import json

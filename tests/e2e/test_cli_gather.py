@@ -1,7 +1,5 @@
 """dipole gather: files of points and queries, what is written, and what is said about faults."""
 
-from __future__ import annotations
-
 import csv
 import io
 import subprocess

@@ -1,7 +1,5 @@
 """`dipole`: help, versions, and wrong command lines."""
 
-from __future__ import annotations
-
 import subprocess
 
 import pytest

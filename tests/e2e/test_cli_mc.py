@@ -1,7 +1,5 @@
 """`dipole mc`: its table for people and for programs, its progress, and Ctrl-C."""
 
-from __future__ import annotations
-
 import signal
 
 import pytest

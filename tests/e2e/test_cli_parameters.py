@@ -1,7 +1,5 @@
 """Parameters and notes on the command line, and `--model all` when some models refuse the query."""
 
-from __future__ import annotations
-
 
 import pytest
 from command_line import USAGE, Proxy, dipole, eval_rows

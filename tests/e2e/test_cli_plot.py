@@ -1,8 +1,6 @@
 """Pictures of `dipole plot` and `dipole eval --plot`: what gnuplot gets, and two that it draws; and
 the demonstration, which draws two."""
 
-from __future__ import annotations
-
 import os
 import re
 import shutil

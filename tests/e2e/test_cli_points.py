@@ -1,7 +1,5 @@
 """`dipole points`: reads rows, and writes the same rows with R, albedo, cdf and status."""
 
-from __future__ import annotations
-
 import os
 import re
 import select

@@ -1,8 +1,6 @@
 """`dipole --connect` with several addresses, and `--retry-ms`: daemons that start late, are lost,
 or stay busy."""
 
-from __future__ import annotations
-
 import subprocess
 import threading
 

@@ -1,8 +1,6 @@
 """`dipole table`, and `dipole eval` with the evaluator lut: from a daemon, and from a file without
 a daemon."""
 
-from __future__ import annotations
-
 import subprocess
 
 import dipole as python_client

@@ -1,7 +1,5 @@
 """`dipole texture`: maps images of colours to images of media."""
 
-from __future__ import annotations
-
 import struct
 import zlib
 

@@ -1,8 +1,6 @@
 """`dipole top`: tables, CSV and JSON for each interval, and a terminal on which each table replaces
 the one before."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

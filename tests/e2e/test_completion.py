@@ -1,8 +1,6 @@
 """Completion of command lines by bash and zsh, as a user gets it. tests/cli/lists.t has what `dipole
 complete` offers."""
 
-from __future__ import annotations
-
 import os
 import re
 

@@ -1,8 +1,6 @@
 """The container image: its files are enough for the daemon, as nobody and without a shell, and
 podman builds it."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

@@ -1,8 +1,6 @@
 """Deadlines: a request is answered in time or gets the error DEADLINE. Other requests do not suffer.
 test_messages.py has the deadlines of all messages."""
 
-from __future__ import annotations
-
 import time
 
 import dipole

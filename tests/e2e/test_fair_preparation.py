@@ -1,8 +1,6 @@
 """Every client that wants slow profiles gets its turns: neither a Modbus master with hundreds of
 units nor a client that asks without end keeps the others waiting."""
 
-from __future__ import annotations
-
 import statistics
 import threading
 import time

@@ -1,7 +1,5 @@
 """`make figures`: what it draws, how a run resumes, and what it says about the models; `make tradeoff`."""
 
-from __future__ import annotations
-
 import csv
 import math
 import os

@@ -1,8 +1,6 @@
 """Fits: coefficients come back from readings, whatever else is asked; sets that are wrong are named
 and others are fitted; a request of any size is answered in turns, in parts and in time."""
 
-from __future__ import annotations
-
 
 import dipole
 import numpy as np

@@ -1,7 +1,5 @@
 """Fits of layers: a slow job beside small requests, which a deadline or a client that leaves ends."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from daemons import eventually

@@ -1,7 +1,5 @@
 """Fits of tissues over the wire: what Python, HTTP and the command line make of one set of readings."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from dipole import ArgumentError, Client

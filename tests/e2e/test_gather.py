@@ -1,8 +1,6 @@
 """Sums of the light of points: values, bits, points that are sent, lost and sent again, faults, and
 what a daemon bears."""
 
-from __future__ import annotations
-
 import asyncio
 import dataclasses
 

@@ -1,7 +1,5 @@
 """The daemon's description of itself: versions, lists, limits and statistics."""
 
-from __future__ import annotations
-
 import pytest
 from daemons import eventually
 from dipole import wire

@@ -1,7 +1,5 @@
 """--http: requests of the binary protocol as JSON, with its limits and errors."""
 
-from __future__ import annotations
-
 import http.client
 import itertools
 import json

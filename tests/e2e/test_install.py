@@ -1,8 +1,6 @@
 """`make install`: the installed files work without the sources, and `make uninstall` removes all of
 them."""
 
-from __future__ import annotations
-
 import os
 import re
 import sys

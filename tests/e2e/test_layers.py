@@ -1,7 +1,5 @@
 """Media of several layers: the same values through every message, while small requests go on."""
 
-from __future__ import annotations
-
 import csv
 
 import numpy as np

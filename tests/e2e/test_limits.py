@@ -1,7 +1,5 @@
 """Every limit of the daemon, at the limit and one beyond it."""
 
-from __future__ import annotations
-
 import os
 import select
 import socket
@@ -142,7 +140,7 @@ class SlowReader:
         self.watched_bytes = 0
         self.sent_bytes = 0
 
-    def __enter__(self) -> SlowReader:
+    def __enter__(self) -> "SlowReader":
         return self
 
     def __exit__(self, *_: object) -> None:

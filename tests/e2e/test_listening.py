@@ -1,8 +1,6 @@
 """The daemon's addresses: Unix sockets, TCP, several of them, or one connection that it
 inherits."""
 
-from __future__ import annotations
-
 import os
 import re
 import socket

@@ -1,7 +1,5 @@
 """The manual pages in the sources are current and complete, and a formatter has no warnings."""
 
-from __future__ import annotations
-
 import re
 import sys
 from pathlib import Path

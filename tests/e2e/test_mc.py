@@ -1,7 +1,5 @@
 """Monte Carlo jobs: tables, progress, how jobs end, and that they do not disturb other work."""
 
-from __future__ import annotations
-
 import signal
 import threading
 from pathlib import Path

@@ -2,8 +2,6 @@
 answers in parts, peers that lie, cancelling, asking again, leaving, deadlines and others' requests.
 messages.py has what a message brings, wrong.txt the values that are refused."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 import re

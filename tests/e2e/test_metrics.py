@@ -1,7 +1,5 @@
 """--metrics: the text format of Prometheus over HTTP, and /healthz."""
 
-from __future__ import annotations
-
 import ctypes
 import http.client
 import json

@@ -1,8 +1,6 @@
 """Modbus masters that others have made: each example of clients/modbus reads R at ten distances,
 and other tools decode, identify and exercise the daemon."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import re

@@ -1,8 +1,6 @@
 """Evaluations over Modbus: the same bits as by the binary protocol, errors, tolerances, and media
 that take long to prepare."""
 
-from __future__ import annotations
-
 import struct
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Every Modbus function over TCP, with valid and invalid requests."""
 
-from __future__ import annotations
-
 import random
 import struct
 

@@ -1,7 +1,5 @@
 """Sample, invert and mc over Modbus, and how jobs of all kinds wait, end and are cancelled."""
 
-from __future__ import annotations
-
 import socket
 import struct
 import time

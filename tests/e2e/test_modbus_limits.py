@@ -1,8 +1,6 @@
 """Modbus over TCP: masters that are slow, many, not allowed or wrong, and the end of
 connections."""
 
-from __future__ import annotations
-
 import resource
 import select
 import socket

@@ -1,8 +1,6 @@
 """The Modbus register map from outside: discovery, defaults, word orders, units, and the examples
 of proto/REGISTERS.md."""
 
-from __future__ import annotations
-
 import struct
 
 import numpy as np

@@ -1,8 +1,6 @@
 """Modbus RTU over a pseudo terminal: the same registers as over TCP, silence, noise, other devices,
 broadcasts, adapters with echo and RTS, and a device that is missing or goes away."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import pty

@@ -33,8 +33,6 @@ be like. test_every_must_has_its_tests() compares these tests with this table:
 | R-65 | the whole string is one role | `test_what_a_role_may_do` |
 """  # noqa: E501
 
-from __future__ import annotations
-
 import re
 import socket
 import ssl

@@ -1,7 +1,5 @@
 """The notes of replies: each note is set exactly when it holds."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from dipole import Medium

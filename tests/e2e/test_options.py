@@ -1,7 +1,5 @@
 """Options from the command line and the environment, valid and invalid."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -1,8 +1,6 @@
 """Overload: large requests get BUSY with a hint when to retry, small ones are still answered, and a
 client that does not read harms nobody."""
 
-from __future__ import annotations
-
 import threading
 from contextlib import ExitStack
 

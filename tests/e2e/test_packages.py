@@ -1,8 +1,6 @@
 """The Debian packages: their contents, and Debian's rules for them. How they install is tested by
 `make check-deb`."""
 
-from __future__ import annotations
-
 import re
 import shutil
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The page at / of --http, in a real browser."""
 
-from __future__ import annotations
-
 import csv
 import io
 import os

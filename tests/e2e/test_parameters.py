@@ -1,7 +1,5 @@
 """The optional parameters of a request: which values are refused, and what valid ones do."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

@@ -1,8 +1,6 @@
 """Answers in parts use no more memory than small answers, and what ends them. test_messages.py has
 their bits and sizes."""
 
-from __future__ import annotations
-
 import time
 
 import pytest

@@ -1,8 +1,6 @@
 """Eight threads have many outstanding requests through libdipole. Each request gets its own,
 correct answer, also with several daemons of which one after the other is killed."""
 
-from __future__ import annotations
-
 import itertools
 import os
 import re

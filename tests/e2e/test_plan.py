@@ -1,8 +1,6 @@
 """The simulation of `make plan` against closed formulas of queues, and its command. That it agrees
 with daemons is measured by `make check-plan`."""
 
-from __future__ import annotations
-
 import importlib.util
 import math
 import re

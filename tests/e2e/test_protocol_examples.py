@@ -1,7 +1,5 @@
 """Sends the examples in proto/PROTOCOL.md to a daemon, as the document has them."""
 
-from __future__ import annotations
-
 
 import numpy as np
 import pytest

@@ -1,8 +1,6 @@
 """The Python client for asyncio: it gives the same answers as the other client, many at a time,
 also when calls are cancelled and when the daemon goes away."""
 
-from __future__ import annotations
-
 import asyncio
 import os
 import signal

@@ -1,8 +1,6 @@
 """The Python client: its results, the requests that it refuses to send, and how it reports
 errors."""
 
-from __future__ import annotations
-
 import copy
 import inspect
 import os

@@ -1,7 +1,5 @@
 """The examples of the Python module run as they stand, with and without matplotlib."""
 
-from __future__ import annotations
-
 import importlib.util
 import os
 import re

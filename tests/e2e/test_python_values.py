@@ -1,8 +1,6 @@
 """The Python client's values(), grids, samples and inversions: arrays of any shapes, as numpy
 broadcasts them."""
 
-from __future__ import annotations
-
 import dipole
 import numpy as np
 import pytest

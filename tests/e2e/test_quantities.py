@@ -1,8 +1,6 @@
 """The quantities of a profile besides R, from the daemon and on the command line.
 tests/accuracy/test_distributions.c tests that they agree with R."""
 
-from __future__ import annotations
-
 
 import numpy as np
 import pytest

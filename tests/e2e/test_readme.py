@@ -1,7 +1,5 @@
 """The examples in the README and the guide work, and the links of documents lead somewhere."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

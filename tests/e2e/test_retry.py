@@ -1,8 +1,6 @@
 """Daemons are killed or stopped under load and come back at the same address. Clients connect again
 and repeat their requests, and every request gets its correct answer once."""
 
-from __future__ import annotations
-
 import asyncio
 import functools
 import itertools

@@ -1,8 +1,6 @@
 """A thousand connections, clients that die or do not read, a stop under load, and no free
 descriptors. In each case, every valid request gets its correct answer exactly once."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import random
@@ -65,7 +63,7 @@ class Others:
         except BaseException as failure:  # shown by the test's own thread
             self._failures.append(failure)
 
-    def __enter__(self) -> Others:
+    def __enter__(self) -> "Others":
         for thread in self._threads:
             thread.start()
         return self

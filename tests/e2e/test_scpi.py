@@ -1,8 +1,6 @@
 """SCPI: its documented client, the bits of the binary protocol, real *OPC and *WAI, and streams that
 clients should not send."""
 
-from __future__ import annotations
-
 import re
 import select
 import socket
@@ -33,7 +31,7 @@ class Raw:
         self.socket = socket.create_connection(("127.0.0.1", port), HANG_S)
         self.file = self.socket.makefile("rb")
 
-    def __enter__(self) -> Raw:
+    def __enter__(self) -> "Raw":
         return self
 
     def __exit__(self, *_: object) -> None:

@@ -1,8 +1,6 @@
 """A service manager passes listening sockets to the daemon, and waits for its notifications
 (sd_notify)."""
 
-from __future__ import annotations
-
 import os
 import socket
 import subprocess

@@ -1,8 +1,6 @@
 """Slow profiles are prepared on other threads: only the clients that asked for them wait.
 test_cache.py tests leaving and stopping meanwhile."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from dipole import Refused, wire

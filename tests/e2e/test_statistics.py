@@ -1,7 +1,5 @@
 """Statistics of the service itself: latencies, radii by model, batch sizes, queues."""
 
-from __future__ import annotations
-
 import time
 
 import dipole

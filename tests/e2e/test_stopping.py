@@ -1,8 +1,6 @@
 """After SIGTERM the daemon accepts nothing new, answers the requests in flight, and exits with
 status 0."""
 
-from __future__ import annotations
-
 import os
 import pty
 import signal

@@ -1,8 +1,6 @@
 """tests/structure.py finds a circle of includes that is put into a copy of the sources, and documents
 and rules that are too long."""
 
-from __future__ import annotations
-
 import platform
 import shutil
 import subprocess

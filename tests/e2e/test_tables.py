@@ -1,7 +1,5 @@
 """Tables that a client fetches and evaluates itself give the daemon's bits at every radius."""
 
-from __future__ import annotations
-
 import functools
 import math
 import re

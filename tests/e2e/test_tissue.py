@@ -1,7 +1,5 @@
 """Tissues by Python and HTTP: the medium of a liver is that of VTS, and evals take it."""
 
-from __future__ import annotations
-
 import dipole
 import numpy as np
 import pytest

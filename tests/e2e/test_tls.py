@@ -1,8 +1,6 @@
 """The binary protocol through TLS: who gets in, whose certificates are believed, bad peers, and
 certificates that change under load."""
 
-from __future__ import annotations
-
 import asyncio
 import ctypes
 import os

@@ -1,8 +1,6 @@
 """Clients give a tolerance in place of a model: which model is chosen, and what the answer says
 about its error."""
 
-from __future__ import annotations
-
 import re
 from functools import partial
 

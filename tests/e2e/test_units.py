@@ -1,7 +1,5 @@
 """The systemd units have no faults, and confine the daemon."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

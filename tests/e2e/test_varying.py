@@ -1,7 +1,5 @@
 """Values each of which has a medium of its own: the message varying, and libdipole's clients."""
 
-from __future__ import annotations
-
 import pickle
 
 import dipole

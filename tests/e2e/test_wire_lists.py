@@ -1,7 +1,5 @@
 """The structures and codes of the Python client are those of proto/ and core/."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 import sys

@@ -10,8 +10,6 @@ The corpus is tests/fuzz/corpus: a target and an input in base64 on each line. T
 examples of PROTOCOL.md and REGISTERS.md are inputs as well. All inputs are unpacked into folders
 beside the program, and new ones are kept there."""
 
-from __future__ import annotations
-
 import base64
 import hashlib
 import os

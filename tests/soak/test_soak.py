@@ -3,8 +3,6 @@ are killed, leave at any time, do not read, or send garbage, floods of KeyUpdate
 handshakes. Every answer is correct, canaries get the same bits all the time, memory does not grow,
 and every port answers at the end."""
 
-from __future__ import annotations
-
 import contextlib
 import http.client
 import os
@@ -92,7 +90,7 @@ class Beside:
     """A thread that plays rounds of something beside the load, until it is told to stop. A round
     gets this object."""
 
-    def __init__(self, daemon: Daemon, ca: str, play: Callable[[Beside], None]):
+    def __init__(self, daemon: Daemon, ca: str, play: Callable[["Beside"], None]):
         self.done = 0
         self.refused = 0  # rounds of a canary that the daemon was too busy for
         self.daemon, self.ca, self.play = daemon, ca, play
@@ -102,7 +100,7 @@ class Beside:
         self.failure: BaseException | None = None
         self._thread = threading.Thread(target=self._run)
 
-    def __enter__(self) -> Beside:
+    def __enter__(self) -> "Beside":
         self._thread.start()
         return self
 
