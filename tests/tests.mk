@@ -9,7 +9,7 @@ TEST_SUPPORT := $(call objects,$(filter-out $(wildcard tests/*/test_*.c) $(wildc
 # ---- programs ------------------------------------------------------------------------------------
 
 $(TESTS): $(BUILD)/tests/%: $(OBJ)/tests/%.o $(TEST_SUPPORT) $(BUILD)/libdipole.a
-$(TESTS): LIBS = -lcmocka -lmpfr -lgmp $(TLS_LIBS) $(CORE_LIBS) $(TEST_LIBS)
+$(TESTS): LIBS = -lcmocka $(TLS_LIBS) $(CORE_LIBS) $(TEST_LIBS)
 
 # The daemon's cache, input, histograms and Modbus, tested without a daemon, and a worker with clients
 # of the test's own.
@@ -36,7 +36,7 @@ $(BUILD)/dipoled-counting: LIBS = -Wl,--wrap=malloc,--wrap=calloc,--wrap=realloc
 $(OBJ)/tests/e2e/count_allocations.o: EXTRA_CPPFLAGS = $(call cflags,libuv)
 
 $(BUILD)/tests/accuracy/truth: $(call objects,$(addprefix tests/accuracy/,truth.c forms.c reference_fresnel.c)) $(ISOTROPIC) $(BUILD)/libcore.a
-$(BUILD)/tests/accuracy/truth: LIBS = -lmpfr -lgmp $(CORE_LIBS)
+$(BUILD)/tests/accuracy/truth: LIBS = $(CORE_LIBS)
 $(BUILD)/tests/accuracy/rings: $(OBJ)/tests/accuracy/rings.o $(TOOLS) $(BUILD)/libcore.a
 $(BUILD)/tests/bits: $(OBJ)/tests/bits/bits.o $(BUILD)/libcore.a
 $(BUILD)/tests/accuracy/rings $(BUILD)/tests/bits: LIBS = $(CORE_LIBS)

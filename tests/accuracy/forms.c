@@ -41,24 +41,6 @@ enum form_family form_family_of(unsigned model) {
   }
 }
 
-quad form_quad(const mpfr_t x) {
-  if (!mpfr_regular_p(x)) {
-    return (quad)mpfr_get_d(x, MPFR_RNDN);
-  }
-  mpfr_t rest;
-  mpfr_init2(rest, mpfr_get_prec(x));
-  const long exponent = mpfr_get_exp(x);
-  mpfr_mul_2si(rest, x, -exponent, MPFR_RNDN);
-  quad sum = 0;
-  for (int i = 0; i < 3; i++) {
-    const double part = mpfr_get_d(rest, MPFR_RNDN);
-    sum += (quad)part;
-    mpfr_sub_d(rest, rest, part, MPFR_RNDN);
-  }
-  mpfr_clear(rest);
-  return scalbnf128(sum, exponent < -30000 ? -30000 : exponent > 30000 ? 30000 : (int)exponent);
-}
-
 /* Returns Fresnel's transmittance from outside, unpolarized. */
 static quad transmittance(quad eta, quad outside) {
   const quad squared = 1 - (1 - outside * outside) / (eta * eta);
@@ -76,9 +58,8 @@ static void set_table_2(form_part *p, enum core_moments moments) {
   const core_medium *m = &p->medium;
   const bool chosen = p->family == FORM_SLAB || p->family == FORM_DIPOLE;
   const int switches = chosen ? p->variant : 7;
-  const reference_fresnel *fresnel = reference_fresnel_moments(moments, m->eta);
-  const quad lost1 = form_quad(fresnel->one_minus_2c1);
-  const quad lost2 = form_quad(fresnel->one_minus_3c2);
+  const reference_fresnel fresnel = reference_fresnel_moments(moments, m->eta);
+  const quad lost1 = fresnel.one_minus_2c1, lost2 = fresnel.one_minus_3c2;
   const quad sigma_s_prime = (quad)m->sigma_s_per_mm * (1 - (quad)m->g);
   p->sigma_t_prime = (quad)m->sigma_a_per_mm + sigma_s_prime;
   p->absorbed = (quad)m->sigma_a_per_mm / p->sigma_t_prime;
@@ -386,11 +367,11 @@ void form_prepare(form_model *form, unsigned model, enum core_moments moments,
                  moments, medium, parameters);
     form->albedo += form->part[i].albedo;
   }
-  const reference_fresnel *inverse = reference_fresnel_moments(CORE_MOMENTS_EXACT, 1 / medium->eta);
   const quad eta = (quad)medium->eta;
-  form->S_per_R = transmittance(eta, (quad)parameters->value[CORE_PARAMETER_COS_IN]) *
-                  transmittance(eta, (quad)parameters->value[CORE_PARAMETER_COS_OUT]) /
-                  (pi * form_quad(inverse->one_minus_2c1));
+  form->S_per_R =
+      transmittance(eta, (quad)parameters->value[CORE_PARAMETER_COS_IN]) *
+      transmittance(eta, (quad)parameters->value[CORE_PARAMETER_COS_OUT]) /
+      (pi * reference_fresnel_moments(CORE_MOMENTS_EXACT, 1 / medium->eta).one_minus_2c1);
 }
 
 static form_values part_at(const form_part *p, double r, bool fast) {

@@ -2,14 +2,12 @@
  * integrated in another way than the kernels do, so that tests can hold the kernels against them.
  * Two models have no form: `transport` and `gaussians`.
  *
- * Only one thread of a process may use this file, because MPFR's values are shared. */
+ * Only one thread of a process may use this file, because reference_fresnel.c keeps values. */
 #ifndef DIPOLED_TESTS_FORMS_H
 #define DIPOLED_TESTS_FORMS_H
 
 #include "core/kernels.h"
 #include "tests/accuracy/reference_fresnel.h"
-
-typedef _Float128 quad;
 
 /* FORM_DIPOLE stands for models 1 to 8, FORM_SLAB for the four multipoles. */
 enum form_family {
@@ -114,8 +112,5 @@ void form_neighbours_prepare(form_neighbours *near, unsigned model, enum core_mo
  * to where R is not 0. Its error is below 1e-16 times its size for dipoles and Burley's profiles, else
  * below 1e-12 (1 + its size). */
 quad form_derivative(const form_neighbours *near, bool of_s, double r);
-
-/* Converts with 113 bits. */
-quad form_quad(const mpfr_t x);
 
 #endif

@@ -713,11 +713,8 @@ static void draw_etas(uint64_t *random) {
               : i < ETAS - 12 ? log_between(random, 5, CORE_ETA_MAX)
               : i % 2 == 0    ? 1 + log_between(random, 1e-15, 0.01)
                               : 1 - log_between(random, 1e-15, 0.01);
-    for (unsigned moments = 1; moments <= 4; moments++) {
-      if (core_fresnel_check(moments, etas[i]).field == NULL) {
-        reference_fresnel_moments(moments, etas[i]);
-      }
-    }
+    /* The workers have what is integrated here. */
+    reference_fresnel_moments(CORE_MOMENTS_EXACT, etas[i]);
     reference_fresnel_moments(CORE_MOMENTS_EXACT, 1 / etas[i]);
   }
 }
