@@ -19,6 +19,7 @@ from typing import NamedTuple
 import dipole
 import numpy as np
 import pytest
+from beside import SoakLoad
 from daemons import BUILD, REPOSITORY, Daemon, environment, eventually
 from frames import SKIN
 from modbus_master import Lost, Tcp, input_block, write_read_pdu
@@ -270,20 +271,14 @@ class Libdipole(User):
     """soak-load, which compares each answer of libdipole with the first."""
 
     def ask(self) -> None:
-        seed = str(random.randrange(1000))
-        with subprocess.Popen(
-            [str(BUILD / "soak-load"), self.address, seed, "evals"],
-            stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-        ) as load:  # fmt: skip
-            try:
-                for line in load.stdout:
-                    if line.startswith("answered="):
-                        self.answers = int(line.split()[0].removeprefix("answered="))
-                    if self.ended.is_set() and not load.stdin.closed:
-                        load.stdin.close()
-                assert load.wait(60) == 0, load.stderr.read()
-            finally:
-                load.kill()
+        load = SoakLoad(self.address, random.randrange(1000))
+        try:
+            while not self.ended.wait(0.05):
+                assert load.process.poll() is None, load.process.stderr.read()
+                self.answers = load.answered
+            load.end()
+        finally:
+            load.kill()
 
 
 class Master(User):

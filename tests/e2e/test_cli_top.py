@@ -7,9 +7,9 @@ import re
 import signal
 import subprocess
 import termios
-import threading
 
 import pytest
+from beside import Beside
 from command_line import PROGRAM, TIMEOUT_S, Terminal, dipole, read_csv
 from daemons import environment
 from frames import EVAL, SKIN, ask, eval_payload
@@ -21,20 +21,10 @@ def busy(daemon):
     """Returns a daemon with a client that sends eval requests all the time, one in ten of them
     wrong."""
     one = daemon()
-    stop = threading.Event()
-
-    def keep_asking():
-        right, wrong = eval_payload([SKIN], [1.0] * 100), eval_payload([SKIN], [-1.0])
-        with one.connect() as connection:
-            while not stop.is_set():
-                for payload in [right] * 9 + [wrong]:
-                    ask(connection, EVAL, payload)
-
-    thread = threading.Thread(target=keep_asking)
-    thread.start()
-    yield one
-    stop.set()
-    thread.join()
+    right, wrong = eval_payload([SKIN], [1.0] * 100), eval_payload([SKIN], [-1.0])
+    with one.connect() as connection:
+        with Beside(lambda: [ask(connection, EVAL, payload) for payload in [right] * 9 + [wrong]]):
+            yield one
 
 
 def top(daemon, *arguments: str) -> str:
@@ -53,15 +43,18 @@ def records(rows: list[dict]) -> list[dict[str, float]]:
 
 
 def check_record(record: dict[str, float]) -> None:
-    """Checks a record of the statistics while the busy client asks."""
-    assert 0.15 < record["interval_s"] < 5
-    evals, errors = record["requests_eval_per_s"], record["replies_bad-value_per_s"]
-    assert evals > 10 and errors == pytest.approx(evals / 10, rel=0.3, abs=20)
-    radii = record["radii_better_per_s"]
-    assert radii == pytest.approx(evals * 90, rel=0.3)
-    assert record["radii_evaluated_per_s"] == pytest.approx(radii, rel=0.05)
+    """Checks a record of the statistics while the busy client asks: nine requests for 100 radii, and a
+    wrong one. The numbers of a record need not be of one moment."""
+    interval_s = record["interval_s"]
+    assert interval_s > 0.15
+    evals, errors, radii = (
+        record[f"{name}_per_s"] * interval_s
+        for name in ("requests_eval", "replies_bad-value", "radii_better")
+    )
+    assert errors == pytest.approx(evals / 10, abs=2 + 0.01 * evals)
+    assert radii == pytest.approx(evals * 90, abs=300 + evals)
+    assert record["radii_evaluated_per_s"] * interval_s == pytest.approx(radii, abs=300 + evals)
     assert record["radii_classical_per_s"] == 0
-    assert record["received_bytes_per_s"] > 0 and record["sent_bytes_per_s"] > 0
     assert record["connections_open"] == 2 and "connections_open_per_s" not in record
     quantiles = [record[f"latency_eval_short_{q}_us"] for q in ("p50", "p90", "p99", "p999", "max")]
     assert quantiles == sorted(quantiles) and quantiles[0] > 0
@@ -74,6 +67,7 @@ def test_intervals(busy, form):
     assert len(records(rows)) == 3
     for record in records(rows):
         check_record(record)
+    assert any(record["requests_eval_per_s"] > 0 for record in records(rows))
     assert {f"radii_{model}" for model in MODELS} < {row["statistic"] for row in rows}
 
 

@@ -2,11 +2,11 @@
 units nor a client that asks without end keeps the others waiting."""
 
 import statistics
-import threading
 import time
 from itertools import count
 
 import pytest
+from beside import Beside
 from daemons import eventually
 from dipole import wire
 from frames import EVAL, assert_error, assert_serves, eval_payload, frame
@@ -60,25 +60,6 @@ def master_waits(master: Tcp) -> None:
     assert master.wait(1).status == 2
 
 
-class Meanwhile:
-    """Calls a function again and again, on a thread, until the end of the with block."""
-
-    def __init__(self, act):
-        self._ended = threading.Event()
-        self._thread = threading.Thread(target=self._run, args=(act,))
-
-    def _run(self, act) -> None:
-        while not self._ended.is_set():
-            act()
-
-    def __enter__(self) -> None:
-        self._thread.start()
-
-    def __exit__(self, *_: object) -> None:
-        self._ended.set()
-        self._thread.join()
-
-
 def test_a_client_gets_its_turns_beside_a_master_of_all_units(daemon):
     one = daemon(*TCP)
     with Tcp(one) as master, one.connect() as client:
@@ -93,7 +74,7 @@ def test_a_client_gets_its_turns_beside_a_master_of_all_units(daemon):
             rounds.append(unit)
             time.sleep(0.2)  # much less than the preparations for all units take
 
-        with Meanwhile(commit_all):
+        with Beside(commit_all):
             assert eventually(lambda: rounds)
             assert 1 < prepared_meanwhile(one, lambda: client_waits(client)) <= TURNS
 
@@ -107,7 +88,7 @@ def test_a_master_gets_its_turns_beside_clients_that_ask_without_end(daemon):
             assert client.receive_frame().type == EVAL | wire.REPLY
             client.send_bytes(request())
 
-        with Meanwhile(ask_again):
+        with Beside(ask_again):
             assert 1 < prepared_meanwhile(one, lambda: master_waits(master)) <= TURNS
 
 

@@ -1,5 +1,6 @@
 """--http: requests of the binary protocol as JSON, with its limits and errors."""
 
+import contextlib
 import http.client
 import itertools
 import json
@@ -9,13 +10,13 @@ import re
 import resource
 import socket
 import subprocess
-import threading
 import time
 from pathlib import Path
 
 import dipole
 import numpy as np
 import pytest
+from beside import Beside
 from daemons import BUILD, HANG_S, Daemon, eventually, sanitized
 from installing import npm_install
 
@@ -837,38 +838,19 @@ def test_slow_and_idle_clients_are_closed(daemon, beginning):
     assert _serves(one)
 
 
-class Nothing:
-    """1,000 connections of HTTP that are idle, 100 of which send a byte of a header by turns."""
-
-    def __init__(self, daemon):
-        self._held = [socket.create_connection(address(daemon), TIMEOUT_S) for _ in range(1000)]
-        self._ended = threading.Event()
-        self._slow = threading.Thread(target=self._send)
-
-    def _send(self) -> None:
-        for sock in self._held[:100]:
-            sock.sendall(b"GET /healthz HTTP/1.1\r\nX: ")
-        for sock in itertools.cycle(self._held[:100]):
-            if self._ended.wait(0.005):
-                break
-            sock.sendall(b"x")
-
-    def __enter__(self) -> None:
-        self._slow.start()
-
-    def __exit__(self, *_) -> None:
-        self._ended.set()
-        self._slow.join()
-        for sock in self._held:
-            sock.close()
-
-
 def test_idle_and_slow_clients_leave_the_binary_protocol_alone(daemon):
+    """1,000 connections of HTTP are idle, 100 of which send a byte of a header by turns."""
     one = daemon("--http", "127.0.0.1:0", "--max-http-connections", "2000")
-    with one.client() as client, Nothing(one):
-        for _ in range(1000):
-            client.eval("better", "skin1", [1.0])
-        assert _serves(one)
+    with contextlib.ExitStack() as stack:
+        held = [stack.enter_context(socket.create_connection(address(one), TIMEOUT_S)) for _ in range(1000)]
+        for sock in held[:100]:
+            sock.sendall(b"GET /healthz HTTP/1.1\r\nX: ")
+        slow = itertools.cycle(held[:100])
+        client = stack.enter_context(one.client())
+        with Beside(lambda: (next(slow).sendall(b"x"), time.sleep(0.005))):
+            for _ in range(1000):
+                client.eval("better", "skin1", [1.0])
+            assert _serves(one)
 
 
 def test_an_abandoned_job_ends(daemon):

@@ -5,13 +5,13 @@ import asyncio
 import functools
 import itertools
 import signal
-import subprocess
 import threading
 import time
 
 import dipole
 import pytest
-from daemons import BUILD, NOWHERE, PROGRAM, Daemon, eventually, nowhere
+from beside import SoakLoad
+from daemons import NOWHERE, PROGRAM, Daemon, eventually, nowhere
 from frames import EVAL, SKIN, SPECTRALON, R, eval_payload, frame
 
 RETRY_S = 60.0
@@ -136,31 +136,17 @@ def test_python_clients_outlive_their_daemon(restarted, how):
 def test_libdipole_outlives_its_daemon(restarted, how):
     """A libdipole client outlives its daemon. soak-load compares each answer with that of the first
     daemon."""
-    loads = [
-        subprocess.Popen(
-            [str(BUILD / "soak-load"), restarted.url, str(seed), "evals"],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-        )
-        for seed in (1, 2)
-    ]
+    loads = [SoakLoad(restarted.url, seed) for seed in (1, 2)]
     try:
         for _ in range(RESTARTS):
             for load in loads:
-                lines = iter(load.stdout.readline, "")
-                progress = (line for line in lines if line.startswith("answered="))
-                assert list(itertools.islice(progress, 2)), load.stderr.read()
+                load.goes_on()
             getattr(restarted, how)()
         for load in loads:
-            load.stdin.close()
-            load.stdout.read()
-            assert load.wait(60) == 0, load.stderr.read()
+            load.end()
     finally:
         for load in loads:
             load.kill()
-            load.wait()
 
 
 # It has to last for some reports: a daemon sends five in a second, and this machine may be a fast one.

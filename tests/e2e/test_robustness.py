@@ -2,6 +2,7 @@
 descriptors. In each case, every valid request gets its correct answer exactly once."""
 
 import contextlib
+import functools
 import os
 import random
 import resource
@@ -14,10 +15,12 @@ import subprocess
 import sys
 import threading
 import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import dipole
 import pytest
+from beside import Beside
 from certificates import Authority
 from daemons import Daemon, eventually, read_log_line, sanitized
 from dipole import Connection, ConnectionLost, wire
@@ -38,49 +41,28 @@ def assert_all_right(connection: Connection, known: list[Known], order: list[int
         assert_answer(known[open_ones.pop(first.request_id)], first, parts)
 
 
-class Others:
-    """Connections that send requests all the time, in threads of their own, and check every
-    answer."""
+def ask_some(connection: Connection, known: list[Known], rng: random.Random) -> None:
+    assert_all_right(connection, known, rng.choices(range(len(known)), k=8))
 
-    def __init__(self, daemon: Daemon, known: list[Known], count: int = 2):
-        self.answered = 0
-        self._known = known
-        self._stop = threading.Event()
-        self._failures: list[BaseException] = []
-        self._connections = [daemon.connect(("unix", "tcp")[i % 2]) for i in range(count)]
-        self._threads = [
-            threading.Thread(target=self._ask, args=(one, i))
-            for i, one in enumerate(self._connections)
-        ]
 
-    def _ask(self, connection: Connection, seed: int) -> None:
-        rng = random.Random(seed)
-        try:
-            while not self._stop.is_set():
-                order = [rng.randrange(len(self._known)) for _ in range(8)]
-                assert_all_right(connection, self._known, order)
-                self.answered += len(order)
-        except BaseException as failure:  # shown by the test's own thread
-            self._failures.append(failure)
+@contextlib.contextmanager
+def others(daemon: Daemon, known: list[Known], count: int = 2) -> Iterator[Callable[[], None]]:
+    """Connections that send requests all the time, in threads of their own, and check every answer.
+    Yields a function that waits until they have got some more answers."""
+    with contextlib.ExitStack() as stack:
+        threads = []
+        for i in range(count):
+            connection = stack.enter_context(daemon.connect(("unix", "tcp")[i % 2]))
+            act = functools.partial(ask_some, connection, known, random.Random(i))
+            threads.append(stack.enter_context(Beside(act)))
 
-    def __enter__(self) -> "Others":
-        for thread in self._threads:
-            thread.start()
-        return self
+        def go_on() -> None:
+            until = sum(one.done for one in threads) + 2
+            assert eventually(
+                lambda: any(one.failure for one in threads) or sum(one.done for one in threads) > until
+            )
 
-    def __exit__(self, *_: object) -> None:
-        self._stop.set()
-        for thread in self._threads:
-            thread.join()
-        for connection in self._connections:
-            connection.close()
-        if self._failures:
-            raise self._failures[0]
-
-    def have_gone_on(self, answers: int = 16) -> None:
-        """Waits until the connections have got this many more answers."""
-        until = self.answered + answers
-        assert eventually(lambda: self._failures or self.answered > until)
+        yield go_on
 
 
 @pytest.fixture
@@ -123,14 +105,14 @@ def test_a_flood_beyond_max_connections(daemon, descriptors):
     watcher = one.connect()
     assert eventually(lambda: statistics(watcher)["connections_open"] == 1)
     before_bytes = one.resident_bytes()
-    with watcher, Others(one, known, 7) as others:
+    with watcher, others(one, known, 7) as others_go_on:
         told = 0
         for _ in range(10):
             flood = [one.connect(("unix", "tcp")[i % 2]) for i in range(100)]
             for extra in flood:
                 with extra:
                     told += refusal(extra.receive_frame()) == "busy"
-            others.have_gone_on()
+            others_go_on()
         assert told == 1000
         assert statistics(watcher)["connections_refused"] == 1000
         assert statistics(watcher)["connections_open"] == 8
@@ -198,7 +180,7 @@ def test_processes_that_are_killed_at_full_speed(daemon):
     idle_bytes = idle_buffer_bytes(one)
     requests = b"".join(known[i].frame(i) for i in range(len(known)))
     command = [sys.executable, "-c", VICTIM, one.url("unix").removeprefix("unix:")]
-    with Others(one, known) as others:
+    with others(one, known) as others_go_on:
         for _ in range(4):
             victims = [
                 subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
@@ -213,7 +195,7 @@ def test_processes_that_are_killed_at_full_speed(daemon):
                 victim.kill()
                 victim.wait()
                 victim.stdout.close()
-            others.have_gone_on()
+            others_go_on()
     assert eventually(lambda: all_is_given_back(one, idle_bytes))
 
 

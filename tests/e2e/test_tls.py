@@ -3,6 +3,7 @@ certificates that change under load."""
 
 import asyncio
 import ctypes
+import functools
 import os
 import random
 import select
@@ -11,13 +12,13 @@ import socket
 import ssl
 import subprocess
 import sys
-import threading
 import time
 from contextlib import ExitStack, suppress
 
 import dipole
 import numpy as np
 import pytest
+from beside import Beside
 from certificates import FLOODS, Authority, Recorder
 from daemons import BUILD, END_S, PROGRAM, environment, eventually, run, sanitized
 from dipole import wire
@@ -351,6 +352,10 @@ def serial_of(one, ours) -> str:
             return wrapped.getpeercert()["serialNumber"]
 
 
+def assert_same_R(client: dipole.Client, R: np.ndarray) -> None:
+    assert (client.eval("better", SKIN, RADII[:2000]).R == R).all()
+
+
 def test_certificates_are_reloaded_under_load(daemon, authority, ours, tmp_path):
     """No connection ends, the new certificate is used from then on, and a file that cannot be read
     changes nothing."""
@@ -363,40 +368,25 @@ def test_certificates_are_reloaded_under_load(daemon, authority, ours, tmp_path)
     renew("first")
     mutual = ["--client-ca", str(authority.pem)]
     one = daemon(*options((str(pem), str(key)), *mutual), listen=["tls:127.0.0.1:0"])
-    ended = threading.Event()
-    faults: list[BaseException] = []
-    answers = [0] * 4
-
-    def load(number: int) -> None:
-        try:
-            with dipole.Client(one.url("tls"), **ours, retry_s=0) as client:
-                right = client.eval("better", SKIN, RADII[:2000]).R
-                while not ended.is_set():
-                    assert (client.eval("better", SKIN, RADII[:2000]).R == right).all()
-                    answers[number] += 1
-        except BaseException as fault:  # noqa: BLE001
-            faults.append(fault)
-
-    threads = [threading.Thread(target=load, args=(number,)) for number in range(4)]
-    for thread in threads:
-        thread.start()
-    serials = [serial_of(one, ours)]
-    for turn in range(5):
-        renew(f"renewed{turn}")
-        before = list(answers)
+    with ExitStack() as stack:
+        loads = []
+        for _ in range(4):
+            client = stack.enter_context(dipole.Client(one.url("tls"), **ours, retry_s=0))
+            act = functools.partial(assert_same_R, client, client.eval("better", SKIN, RADII[:2000]).R)
+            loads.append(stack.enter_context(Beside(act)))
+        serials = [serial_of(one, ours)]
+        for turn in range(5):
+            renew(f"renewed{turn}")
+            before = [load.done for load in loads]
+            one.process.send_signal(signal.SIGHUP)
+            assert eventually(lambda: sum("event=tls-reloaded" in x for x in one.log) == turn + 1)
+            serials.append(serial_of(one, ours))
+            assert eventually(lambda: all(x.failure or x.done > n for x, n in zip(loads, before)))
+        assert len(set(serials)) == 6
+        key.write_text("nonsense")
         one.process.send_signal(signal.SIGHUP)
-        assert eventually(lambda: sum("event=tls-reloaded" in x for x in one.log) == turn + 1)
-        serials.append(serial_of(one, ours))
-        assert eventually(lambda: faults or all(a > b for a, b in zip(answers, before)))
-    assert len(set(serials)) == 6
-    key.write_text("nonsense")
-    one.process.send_signal(signal.SIGHUP)
-    assert one.has_line(f"event=tls-not-reloaded file={key}")
-    assert serial_of(one, ours) == serials[-1]
-    ended.set()
-    for thread in threads:
-        thread.join(20)
-    assert faults == []
+        assert one.has_line(f"event=tls-not-reloaded file={key}")
+        assert serial_of(one, ours) == serials[-1]
 
 
 # ---- peers that are rude -------------------------------------------------------------------------

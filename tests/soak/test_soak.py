@@ -10,16 +10,15 @@ import random
 import socket
 import ssl
 import struct
-import subprocess
 import tempfile
-import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
 
 import dipole
+from beside import PATIENCE_S, Beside, SoakLoad
 from certificates import Authority, Recorder
-from daemons import BUILD, Daemon, sanitized
+from daemons import Daemon, sanitized
 from dipole import DipoleError
 from frames import EVAL, F32, SKIN, R, eval_payload, frame, statistics
 from modbus_master import AT, Lost, Tcp, input_block
@@ -36,87 +35,21 @@ OPTIONS = (
 # it has met everything: for gaps in a heap with blocks of all sizes, and for records of a
 # sanitizer.
 GROWTH_BYTES = (128 if sanitized() else 24) << 20
-PATIENCE_S = 300.0  # for waiting before and after the measured time
 ENDLESS = eval_payload(radii=None, radius_count=64_000_000, evaluator=F32, wanted=R)
-
-
-class Load:
-    """A running soak-load, see load.c."""
-
-    def __init__(self, url: str, seed: int, ca: str = ""):
-        self.process = subprocess.Popen(
-            [str(BUILD / "soak-load"), url, str(seed), "all"],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            env=os.environ | {"DIPOLED_CA": ca},
-            text=True,
-        )
-        self.last_line = ""
-        self._has_begun = threading.Event()
-        self._reader = threading.Thread(target=self._read, daemon=True)
-        self._reader.start()
-
-    def _read(self) -> None:
-        for line in self.process.stdout:
-            self.last_line = line.strip()
-            if line.startswith("answered="):
-                self._has_begun.set()
-        self._has_begun.set()
-
-    def wait_until_begun(self) -> None:
-        """Waits until it knows all answers and has checked some."""
-        assert self._has_begun.wait(PATIENCE_S)
-        assert self.process.poll() is None, self.process.stderr.read()
-
-    def end(self) -> dict[str, int]:
-        """Ends it, and checks that it found no fault. Returns its counts."""
-        self.process.stdin.close()
-        status = self.process.wait(PATIENCE_S)
-        self._reader.join()
-        assert status == 0, self.process.stderr.read()
-        return {k: int(v) for k, v in (pair.split("=") for pair in self.last_line.split())}
-
-    def kill(self) -> None:
-        """Kills it."""
-        self.process.kill()
-        self.process.wait()
 
 
 # ---- clients beside the load ---------------------------------------------------------------------
 
 
-class Beside:
-    """A thread that plays rounds of something beside the load, until it is told to stop. A round
-    gets this object."""
+class Player(Beside):
+    """Plays rounds of something beside the load. A round gets this object."""
 
-    def __init__(self, daemon: Daemon, ca: str, play: Callable[["Beside"], None]):
-        self.done = 0
+    def __init__(self, daemon: Daemon, ca: str, play: Callable[["Player"], None]):
+        super().__init__(lambda: play(self))
         self.refused = 0  # rounds of a canary that the daemon was too busy for
         self.daemon, self.ca, self.play = daemon, ca, play
-        self.stop = threading.Event()
         self.rng = random.Random(play.__name__)
         self.known: dict[str, bytes] = {}
-        self.failure: BaseException | None = None
-        self._thread = threading.Thread(target=self._run)
-
-    def __enter__(self) -> "Beside":
-        self._thread.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.stop.set()
-        self._thread.join()
-        if self.failure is not None:
-            raise self.failure
-
-    def _run(self) -> None:
-        try:
-            while not self.stop.is_set():
-                self.play(self)
-                self.done += 1
-        except BaseException as failure:  # The test's own thread raises it.
-            self.failure = failure
 
     def port(self, scheme: str) -> tuple[str, int]:
         if scheme == "http":
@@ -129,18 +62,18 @@ class Beside:
         assert answer == self.known.setdefault(port, answer), f"{port}: other bits than at first"
 
 
-def babble(beside: Beside) -> None:
+def babble(beside: Player) -> None:
     """Opens two clients that do not read for a second. Meanwhile, others die or send garbage."""
     with beside.daemon.connect("unix") as one, beside.daemon.connect("tcp") as other:
         for stuck in (one, other):
             stuck.send_bytes(frame(EVAL, 1, ENDLESS) * 8)
-        victim = Load(beside.daemon.url(), 99)
-        while not beside.stop.wait(0.05) and beside.rng.random() < 0.95:
+        victim = SoakLoad(beside.daemon.url(), 99, "all")
+        while not beside.ended.wait(0.05) and beside.rng.random() < 0.95:
             die_or_babble(beside)
         victim.kill()
 
 
-def die_or_babble(beside: Beside) -> None:
+def die_or_babble(beside: Player) -> None:
     rng, request = beside.rng, frame(EVAL, 1, eval_payload(radii=None, radius_count=50_000))
     with beside.daemon.connect(rng.choice(["unix", "tcp"])) as rude:
         with contextlib.suppress(DipoleError):
@@ -161,7 +94,7 @@ LARGE_GET = (
 )
 
 
-def opened(beside: Beside, scheme: str) -> socket.socket:
+def opened(beside: Player, scheme: str) -> socket.socket:
     """Connects to a port; through TLS after a handshake."""
     plain = socket.create_connection(beside.port(scheme), 20)
     if scheme != "tls":
@@ -174,7 +107,7 @@ def opened(beside: Beside, scheme: str) -> socket.socket:
         raise
 
 
-def large(beside: Beside, scheme: str) -> bytes:
+def large(beside: Player, scheme: str) -> bytes:
     count = beside.rng.randrange(1, 100_000)
     if scheme == "http":
         return LARGE_GET.format(min(count, 5000)).encode()
@@ -186,7 +119,7 @@ def large(beside: Beside, scheme: str) -> bytes:
     return frame(EVAL, 1, eval_payload(radii=None, radius_count=count))
 
 
-def leave(beside: Beside) -> None:
+def leave(beside: Player) -> None:
     """Clients of one port ask for much, and leave at any time, with a reset or without."""
     rng, scheme = beside.rng, beside.rng.choice(["tcp", "tls", "http", "modbus-tcp"])
     with contextlib.ExitStack() as stack, contextlib.suppress(OSError):
@@ -194,13 +127,13 @@ def leave(beside: Beside) -> None:
         for client in clients:
             client.sendall(large(beside, scheme) * rng.randrange(1, 4))
         for client in clients:
-            beside.stop.wait(rng.random() * 0.02)
+            beside.ended.wait(rng.random() * 0.02)
             if rng.random() < 0.5:
                 client.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
             client.close()
 
 
-def read_slowly(beside: Beside) -> None:
+def read_slowly(beside: Player) -> None:
     """Clients that read a few bytes of a large answer at a time, and then nothing more."""
     with contextlib.ExitStack() as stack, contextlib.suppress(OSError):
         clients = []
@@ -208,23 +141,23 @@ def read_slowly(beside: Beside) -> None:
             clients.append(stack.enter_context(opened(beside, scheme)))
             clients[-1].sendall(large(beside, scheme) * 8)
         for _ in range(40):
-            if beside.stop.wait(0.05):
+            if beside.ended.wait(0.05):
                 return
             for client in clients:
                 client.recv(512)
 
 
-def hang_halfway(beside: Beside) -> None:
+def hang_halfway(beside: Player) -> None:
     """A flood of handshakes that stop after nothing, or after a part of a ClientHello."""
     hello = bytes.fromhex("16030100f8010000f40303") + beside.rng.randbytes(240)
     with contextlib.ExitStack() as stack, contextlib.suppress(OSError):
         for _ in range(100):
             one = stack.enter_context(socket.create_connection(beside.port("tls"), 20))
             one.sendall(hello[: beside.rng.randrange(len(hello))])
-        beside.stop.wait(beside.rng.random())
+        beside.ended.wait(beside.rng.random())
 
 
-def update_keys(beside: Beside) -> None:
+def update_keys(beside: Player) -> None:
     """A flood of KeyUpdates on one connection, some of which ask for one in return."""
     context = ssl.create_default_context(cafile=beside.ca)
     with contextlib.suppress(OSError), tempfile.TemporaryDirectory() as folder:
@@ -232,12 +165,12 @@ def update_keys(beside: Beside) -> None:
         with one.socket:
             one.socket.settimeout(5)  # for a daemon that does not read
             for i in range(beside.rng.randrange(1, 30_000)):
-                if beside.stop.is_set():
+                if beside.ended.is_set():
                     break
                 one.socket.sendall(one.update_of_keys(i % 1000 == 999))
 
 
-def ask_every_port(beside: Beside) -> None:
+def ask_every_port(beside: Player) -> None:
     """Asks each port once, on a new connection, and compares the bits."""
     for scheme in ("unix", "tcp", "tls"):
         ca = {"ca": beside.ca} if scheme == "tls" else {}
@@ -259,7 +192,7 @@ def ask_every_port(beside: Beside) -> None:
         beside.same("modbus-tcp", master.read(AT["R"], 6))
 
 
-def watch_canaries(beside: Beside) -> None:
+def watch_canaries(beside: Player) -> None:
     """An overloaded daemon may refuse, but no answer may have other bits."""
     try:
         ask_every_port(beside)
@@ -298,13 +231,13 @@ def test_soak(tmp_path):
     daemon = Daemon(*OPTIONS, *ports, listen=listen, env={"ASAN_OPTIONS": asan})
     try:
         schemes = ("unix", "tcp", "tls")
-        loads = [Load(daemon.url(one), i, str(authority.pem)) for i, one in enumerate(schemes)]
+        loads = [SoakLoad(daemon.url(one), i, "all", str(authority.pem)) for i, one in enumerate(schemes)]
         try:
             for load in loads:
-                load.wait_until_begun()
+                load.goes_on()
             with contextlib.ExitStack() as stack:
                 beside = [
-                    stack.enter_context(Beside(daemon, str(authority.pem), play)) for play in PLAYS
+                    stack.enter_context(Player(daemon, str(authority.pem), play)) for play in PLAYS
                 ]
                 resident_bytes = watch(daemon)
             canary = beside[-1]
