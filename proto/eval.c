@@ -4,9 +4,13 @@
 
 #include "proto/schema.h"
 
+/* Returns the wanted quantities that have an array for each channel. */
+static unsigned arrays_of(unsigned wanted) {
+  return wanted & (CORE_ARRAYS | ((wanted & EVAL_DRAWN) != 0 ? (unsigned)CORE_QUANTITY_RADIUS : 0));
+}
+
 bool eval_is_array(unsigned wanted, unsigned quantity) {
-  const bool drawn = quantity == CORE_QUANTITY_RADIUS && (wanted & EVAL_DRAWN) != 0;
-  return (wanted & quantity) != 0 && (drawn || (quantity & CORE_ARRAYS) != 0);
+  return (arrays_of(wanted) & quantity) != 0;
 }
 
 /* Takes what follows the structure of a request to eval or to sample. listed: whether the radii or
@@ -74,10 +78,8 @@ bool eval_reply_layout(unsigned evaluator, unsigned wanted, uint32_t channel_cou
                           .balances_offset = all.parts[BALANCES].at,
                           .errors_offset = all.parts[ERRORS].at,
                           .errors_per_channel = (unsigned)__builtin_popcount(fixed.wanted),
+                          .arrays_per_channel = (unsigned)__builtin_popcount(arrays_of(wanted)),
                           .arrays_offset = all.parts[ARRAYS].at};
-  for (unsigned left = fixed.wanted; left != 0; left &= left - 1) {
-    layout->arrays_per_channel += eval_is_array(wanted, left & ~(left - 1));
-  }
   layout->array_bytes =
       all.payload_bytes > layout->radius_offset ? all.parts[ARRAYS].array_bytes : 0;
   return true;
@@ -93,11 +95,9 @@ uint64_t eval_part_radii(unsigned evaluator, unsigned wanted, uint32_t channel_c
 
 uint64_t eval_array_offset(const eval_layout *layout, unsigned wanted, uint32_t channel,
                            enum core_quantity quantity) {
-  uint64_t array = (uint64_t)channel * layout->arrays_per_channel;
-  for (unsigned left = wanted & (quantity - 1U); left != 0; left &= left - 1) {
-    array += eval_is_array(wanted, left & ~(left - 1));
-  }
-  return layout->arrays_offset + array * layout->array_bytes;
+  const unsigned before = (unsigned)__builtin_popcount(arrays_of(wanted) & (quantity - 1U));
+  return layout->arrays_offset +
+         ((uint64_t)channel * layout->arrays_per_channel + before) * layout->array_bytes;
 }
 
 uint64_t eval_albedo_offset(uint32_t channel) {

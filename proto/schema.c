@@ -145,19 +145,6 @@ const schema_field *schema_field_of(const schema_payload *payload, const char *n
   return NULL;
 }
 
-/* Reads an integer of up to 8 bytes, or the bits of a number. */
-static inline uint64_t read_bits(const uint8_t *at, size_t bytes) {
-  uint64_t bits = 0;
-  memcpy(&bits, at, bytes);
-  return bits;
-}
-
-static double value_of(const schema_field *field, uint64_t bits) {
-  double value;
-  memcpy(&value, &bits, sizeof value);
-  return field->kind == SCHEMA_f64 ? value : (double)bits;
-}
-
 unsigned schema_all_bits(const core_choice *list) {
   unsigned all = 0;
   for (; list->name != NULL; list++) {
@@ -166,17 +153,12 @@ unsigned schema_all_bits(const core_choice *list) {
   return all;
 }
 
-static bool is_allowed(const schema_field *field, uint64_t bits) {
-  const double value = value_of(field, bits);
-  if (field->or_zero && value == 0) {
-    return true;
-  }
-  if (field->list != NULL &&
-      (field->bits ? (bits & ~(uint64_t)schema_all_bits(field->list)) != 0
-                   : core_choice_by_id(field->list, (unsigned)bits) == NULL)) {
-    return false;
-  }
-  return !field->ranged || (value >= field->least && value <= field->most);
+static bool is_allowed(const schema_field *field, uint64_t bits, double value) {
+  return (field->or_zero && value == 0) ||
+         ((field->list == NULL ||
+           (field->bits ? (bits & ~(uint64_t)schema_all_bits(field->list)) == 0
+                        : core_choice_by_id(field->list, (unsigned)bits) != NULL)) &&
+          (!field->ranged || (value >= field->least && value <= field->most)));
 }
 
 WIRE_COLD static wire_error out_of_range(const schema_field *field) {
@@ -211,13 +193,15 @@ WIRE_COLD static wire_error too_short(const schema_payload *payload) {
   return wire_error_make(WIRE_STATUS_BAD_LENGTH, "payload_bytes", allowed);
 }
 
-/* Reads the integer of a field that has this name. */
+/* Reads the integer of a field that has this name, at most 8 bytes. */
 static uint64_t read_named(const schema_payload *payload, const uint8_t *bytes, const char *name) {
   size_t at = 0;
   for (int i = 0; i < 2 && payload->structures[i] != NULL; i++) {
     for (const schema_field *field = payload->structures[i]->fields; field->name != NULL; field++) {
       if (strcmp(field->name, name) == 0) {
-        return read_bits(bytes + at, field->bytes);
+        uint64_t number = 0;
+        memcpy(&number, bytes + at, field->bytes);
+        return number;
       }
       at += field->bytes;
     }
@@ -225,12 +209,26 @@ static uint64_t read_named(const schema_payload *payload, const uint8_t *bytes, 
   return 0;
 }
 
-wire_error schema_check_value(const schema_field *field, uint64_t bits) {
-  if ((field->list != NULL || field->ranged) && !is_allowed(field, bits)) {
-    return out_of_range(field);
+/* Checks a value, and sets *error if it is wrong. */
+static bool check_value(const schema_field *field, uint64_t bits, wire_error *error) {
+  double value;
+  memcpy(&value, &bits, sizeof value);
+  value = field->kind == SCHEMA_f64 ? value : (double)bits;
+  if ((field->list != NULL || field->ranged) && !is_allowed(field, bits, value)) {
+    *error = out_of_range(field);
+    return false;
   }
-  return field->too_large > 0 && value_of(field, bits) > field->too_large ? too_large(field)
-                                                                          : wire_error_none();
+  if (field->too_large > 0 && value > field->too_large) {
+    *error = too_large(field);
+    return false;
+  }
+  return true;
+}
+
+wire_error schema_check_value(const schema_field *field, uint64_t bits) {
+  wire_error error = wire_error_none();
+  check_value(field, bits, &error);
+  return error;
 }
 
 static wire_error check_fields(const schema_payload *payload, const uint8_t *bytes, size_t count) {
@@ -241,12 +239,13 @@ static wire_error check_fields(const schema_payload *payload, const uint8_t *byt
   for (int i = 0; i < 2 && payload->structures[i] != NULL; i++) {
     for (const schema_field *field = payload->structures[i]->fields; field->name != NULL; field++) {
       const size_t field_bytes = field->bytes;
-      const uint64_t bits = field_bytes <= sizeof bits ? read_bits(at, field_bytes) : 0;
-      const wire_error error = schema_check_value(field, bits);
-      if (error.status != WIRE_STATUS_OK) {
+      uint64_t bits = 0;
+      memcpy(&bits, at, field_bytes <= sizeof bits ? field_bytes : 0);
+      wire_error error;
+      if (!check_value(field, bits, &error)) {
         return error;
       }
-      if (field->zero_with != NULL && value_of(field, bits) != 0 &&
+      if (field->zero_with != NULL && bits << 1 != 0 && /* it is neither 0 nor -0. */
           read_named(payload, bytes, field->zero_with) == field->zero_at) {
         return wire_error_make(WIRE_STATUS_BAD_VALUE, field->name, field->zero_text);
       }
@@ -258,25 +257,19 @@ static wire_error check_fields(const schema_payload *payload, const uint8_t *byt
 
 /* ---- layouts --------------------------------------------------------------------------------- */
 
-/* These return UINT64_MAX in place of wrapping around. */
-static inline uint64_t product(uint64_t a, uint64_t b) {
-  uint64_t result;
-  return __builtin_mul_overflow(a, b, &result) ? UINT64_MAX : result;
-}
-
-static inline uint64_t sum(uint64_t a, uint64_t b) {
-  return a > UINT64_MAX - b ? UINT64_MAX : a + b;
-}
-
 static inline uint64_t number_of(const schema_number *number, const uint8_t *start) {
-  const uint64_t value = read_bits(start + number->offset, number->bytes);
+  uint64_t value = 0;
+  memcpy(&value, start + number->offset, number->bytes);
   return number->mask != 0 ? (uint64_t)__builtin_popcountll(value & number->mask) : value;
 }
 
-static uint64_t product_of(const schema_number numbers[SCHEMA_FACTORS], const uint8_t *start) {
-  uint64_t value = 1;
+/* Returns `value` times all numbers, or UINT64_MAX in place of wrapping around. */
+static uint64_t times_all(uint64_t value, const schema_number numbers[SCHEMA_FACTORS],
+                          const uint8_t *start) {
   for (int i = 0; i < SCHEMA_FACTORS && numbers[i].name != NULL; i++) {
-    value = product(value, number_of(&numbers[i], start));
+    if (__builtin_mul_overflow(value, number_of(&numbers[i], start), &value)) {
+      value = UINT64_MAX;
+    }
   }
   return value;
 }
@@ -299,19 +292,19 @@ bool schema_lay_out(const schema_payload *payload, const void *start, uint64_t b
   for (int i = 0; i < SCHEMA_PARTS && payload->parts[i].name != NULL; i++) {
     const schema_part *part = &payload->parts[i];
     const bool there = is_there(part, start);
-    const uint64_t count =
-        there ? sum(product(product_of(part->count, start), part->times > 0 ? part->times : 1),
-                    part->more)
-              : 0;
+    uint64_t count = there ? times_all(part->times > 0 ? part->times : 1, part->count, start) : 0;
+    count += there && count < UINT64_MAX ? part->more : 0; /* which is at most 1 */
     const uint64_t bytes = element_bytes(part, start);
-    const uint64_t used = product(count, bytes);
-    const uint64_t padded = used > UINT64_MAX - WIRE_ALIGNMENT ? UINT64_MAX : wire_padded(used);
+    uint64_t used;
+    const bool wraps =
+        __builtin_mul_overflow(count, bytes, &used) || used > UINT64_MAX - WIRE_ALIGNMENT;
+    const uint64_t padded = wraps ? UINT64_MAX : wire_padded(used);
     layout->parts[i].at = at;
     layout->parts[i].count = count;
     layout->parts[i].bytes = bytes;
     layout->parts[i].array_bytes = padded;
-    at = sum(at, product(padded, product_of(part->arrays, start)));
-    if (at > bytes_max || at == UINT64_MAX || (there && bytes == 0)) {
+    if (__builtin_add_overflow(at, times_all(padded, part->arrays, start), &at) || at > bytes_max ||
+        at == UINT64_MAX || (there && bytes == 0)) {
       if (too_long != NULL) {
         *too_long = part;
       }

@@ -105,8 +105,8 @@ static size_t start_bytes(const uint8_t *payload, size_t payload_bytes) {
 }
 
 /* Finds the entry with the same bytes up to the radii. Returns NULL if there is none. */
-static struct repeat_entry *look_up(struct repeat *repeat, const uint8_t *request, size_t bytes) {
-  const uint64_t hash = cache_hash(0, request, bytes);
+static struct repeat_entry *look_up(struct repeat *repeat, uint64_t hash, const uint8_t *request,
+                                    size_t bytes) {
   struct repeat_set *set = &repeat->sets[hash % REPEAT_SETS];
   for (size_t i = 0; i < REPEAT_WAYS; i++) {
     struct repeat_entry *entry = &set->entries[i];
@@ -149,7 +149,7 @@ const struct repeat_entry *repeat_find(struct repeat *repeat, const uint8_t *pay
   if (bytes == 0) {
     return NULL;
   }
-  const struct repeat_entry *entry = look_up(repeat, payload, bytes);
+  const struct repeat_entry *entry = look_up(repeat, cache_hash(0, payload, bytes), payload, bytes);
   return entry != NULL && entry->payload_bytes == payload_bytes &&
                  profiles_are_there(entry->channel_count, entry->places) &&
                  (!is_listed(entry) || radii_are_right(entry, payload + bytes, radii))
@@ -237,9 +237,9 @@ static bool can_repeat(const wire_eval_request *fixed, const eval_layout *layout
 /* Returns the entry for a request: the one that already holds it, or else the one that is to be
  * replaced next among the entries of the request's hash. */
 static struct repeat_entry *make_room(struct repeat *repeat, const uint8_t *request, size_t bytes) {
-  struct repeat_entry *entry = look_up(repeat, request, bytes);
+  const uint64_t hash = cache_hash(0, request, bytes);
+  struct repeat_entry *entry = look_up(repeat, hash, request, bytes);
   if (entry == NULL) {
-    const uint64_t hash = cache_hash(0, request, bytes);
     struct repeat_set *set = &repeat->sets[hash % REPEAT_SETS];
     entry = &set->entries[set->next];
     set->next = (set->next + 1) % REPEAT_WAYS;
