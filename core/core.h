@@ -266,8 +266,9 @@ typedef struct core_radii_range {
   double most_mm;
 } core_radii_range;
 
-/* The number of bands of radii that some errors are stated for (core_error_edges_mfp). */
-enum { CORE_MODEL_ERROR_BANDS = 10 };
+/* The numbers of bands of radii (core_error_edges_mfp): numerical errors are stated for all bands, model
+ * errors for the first ones, up to 20 mean free paths. */
+enum { CORE_ERROR_BANDS = 12, CORE_MODEL_ERROR_BANDS = 10 };
 
 /* The largest radius at which a profile's numerical error holds, and the error's growth beyond it:
  * at a radius r > most_mm, e^(growth ln^2(r / most_mm)) - 1 is added, or INFINITY if growth ln^2(r
@@ -304,15 +305,14 @@ typedef struct core_profile {
   /* The same for R, 2 pi r R, S and ln R in each band of radii (core/model_error.h), then for the
    * albedo. None is larger than numerical_error, and all are equal to it unless the model is
    * `transport` and g is not 0. Below the first band and above the last one, their errors hold. */
-  double numerical_errors[CORE_MODEL_ERROR_BANDS + 1];
+  double numerical_errors[CORE_ERROR_BANDS + 1];
   double slope_error; /* the relative error of dR/dr, if it is larger than these; else 0 */
   /* The error of BY_SIGMA_A and BY_SIGMA_S: absolute, at radii within 0.9 of `reach`. */
   double derivative_error;
   double derivative_error_per_mm;
-  double
-      derivative_errors[CORE_MODEL_ERROR_BANDS + 1]; /* further error in each band; the last is 0 */
+  double derivative_errors[CORE_ERROR_BANDS + 1]; /* further error in each band; the last is 0 */
   core_reach reach;
-  double T_errors[CORE_MODEL_ERROR_BANDS + 1]; /* of T, as numerical_errors; 0 where T is 0 */
+  double T_errors[CORE_ERROR_BANDS + 1]; /* of T, as numerical_errors; 0 where T is 0 */
   core_reach T_reach;
   double balance[CORE_BALANCE_SHARES]; /* of `transport` and `transport-transmitted`; else 0 */
   double balance_error;                /* absolute */

@@ -139,10 +139,10 @@ typedef struct core_inputs {
 } core_inputs;
 
 /* Errors that the table of anisotropic scattering adds to the numerical error of `transport`,
- * relative. banded: to R in each band of radii of core_model_errors, then to the albedo; all: to
+ * relative. banded: to R in each band of radii, then to the albedo; all: to
  * any other quantity at any radius. */
 typedef struct core_added_errors {
-  double banded[CORE_MODEL_ERROR_BANDS + 1];
+  double banded[CORE_ERROR_BANDS + 1];
   double all; /* at least as large as each of `banded` */
 } core_added_errors;
 
@@ -224,7 +224,7 @@ double core_transport_ratio_most(double g, double eta);
 /* Returns the numerical error of the wanted quantities at radii from least to most; there are no
  * radii if least is above most. errors: as core_profile.numerical_errors, or as
  * core_added_errors.banded; all: the error of any quantity at any radius. */
-double core_banded_error(const double errors[CORE_MODEL_ERROR_BANDS + 1], double all,
+double core_banded_error(const double errors[CORE_ERROR_BANDS + 1], double all,
                          const core_medium *medium, unsigned wanted, core_radii_range radii);
 
 /* Returns the error that is added to the numerical error at radii up to most_mm: 0 within the

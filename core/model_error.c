@@ -10,9 +10,9 @@
 
 enum { BANDS = CORE_MODEL_ERROR_BANDS };
 
-const double core_error_edges_mfp[] = {0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10, 20};
+const double core_error_edges_mfp[] = {0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50};
 
-_Static_assert(sizeof core_error_edges_mfp / sizeof core_error_edges_mfp[0] == BANDS + 1,
+_Static_assert(sizeof core_error_edges_mfp / sizeof core_error_edges_mfp[0] == CORE_ERROR_BANDS,
                "as core.h has it");
 
 /* ---- errors by band of radii ----------------------------------------------------------------- */
@@ -117,13 +117,13 @@ double core_error_beyond(core_reach reach, double most_mm) {
 /* Returns how many edges between bands are below a radius in mean free paths. */
 static size_t edges_below(double mfp) {
   size_t count = 0;
-  for (size_t i = 1; i < BANDS; i++) {
+  for (size_t i = 1; i < CORE_ERROR_BANDS; i++) {
     count += core_error_edges_mfp[i] < mfp;
   }
   return count;
 }
 
-double core_banded_error(const double errors[CORE_MODEL_ERROR_BANDS + 1], double all,
+double core_banded_error(const double errors[CORE_ERROR_BANDS + 1], double all,
                          const core_medium *medium, unsigned wanted, core_radii_range radii) {
   enum {
     ANY = CORE_QUANTITY_CDF | CORE_QUANTITY_SLOPE | CORE_QUANTITY_PDF | CORE_QUANTITY_TRANSFER
@@ -134,7 +134,7 @@ double core_banded_error(const double errors[CORE_MODEL_ERROR_BANDS + 1], double
     return all;
   }
   const bool of_R = at_radii && (wanted & (LIKE_R | CORE_QUANTITY_LN_R)) != 0;
-  double error = of_R && (wanted & CORE_QUANTITY_ALBEDO) == 0 ? 0 : errors[BANDS];
+  double error = of_R && (wanted & CORE_QUANTITY_ALBEDO) == 0 ? 0 : errors[CORE_ERROR_BANDS];
   const size_t first = edges_below(radii.least_mm * sigma_t_prime * (1 + SLACK));
   const size_t last = edges_below(radii.most_mm * sigma_t_prime * (1 - SLACK));
   for (size_t band = first; of_R && (band == first || band <= last); band++) {

@@ -7,8 +7,9 @@
 /* Returns sigma_a / sigma_s', which is infinite for a medium that does not scatter. */
 double core_ratio_of(const core_medium *medium);
 
-/* The edges of the bands of radii, in mean free paths 1 / sigma_t'. */
-extern const double core_error_edges_mfp[CORE_MODEL_ERROR_BANDS + 1];
+/* The edges of the bands of radii, in mean free paths 1 / sigma_t', ascending. The last band has no
+ * end. */
+extern const double core_error_edges_mfp[CORE_ERROR_BANDS];
 
 /* The errors of a model for one medium. */
 typedef struct core_model_errors {

@@ -250,7 +250,7 @@ static void note_albedo(core_profile *profile, double error) {
 static void set_numerical_errors(core_profile *profile, double error,
                                  const core_added_errors *added) {
   profile->numerical_error = error + added->all;
-  for (size_t i = 0; i <= CORE_MODEL_ERROR_BANDS; i++) {
+  for (size_t i = 0; i <= CORE_ERROR_BANDS; i++) {
     profile->numerical_errors[i] = error + added->banded[i];
   }
 }
@@ -312,7 +312,7 @@ static core_fault prepare_model(core_profile *profile, const struct model *model
   }
   profile->numerical_error_per_mm = preparation.error_epsilons_per_mm * epsilon;
   profile->reach = preparation.reach;
-  for (size_t i = 0; preparation.T_added.all > 0 && i <= CORE_MODEL_ERROR_BANDS; i++) {
+  for (size_t i = 0; preparation.T_added.all > 0 && i <= CORE_ERROR_BANDS; i++) {
     profile->T_errors[i] = error + preparation.T_added.banded[i];
   }
   profile->T_reach = preparation.T_reach;
@@ -413,7 +413,7 @@ static bool fits(const struct model *model) {
 /* Returns whether the error of a profile does not shrink with the tolerance, because it comes from
  * the table of solutions or from the solver. */
 static bool keeps_error(const core_profile *source, double tolerance) {
-  return source->numerical_errors[CORE_MODEL_ERROR_BANDS] < source->numerical_error ||
+  return source->numerical_errors[CORE_ERROR_BANDS] < source->numerical_error ||
          source->numerical_error > ACCEPTED_SHARE * tolerance;
 }
 
@@ -431,7 +431,7 @@ static core_fault build_table(core_profile *profile, const struct model *model, 
     profile->lut_count = lut.count;
     const double own = FOUND_MARGIN * lut.error + rounding;
     profile->numerical_error = own + source->numerical_error;
-    for (size_t i = 0; i <= CORE_MODEL_ERROR_BANDS; i++) {
+    for (size_t i = 0; i <= CORE_ERROR_BANDS; i++) {
       profile->numerical_errors[i] = own + source->numerical_errors[i];
     }
     profile->slope_error = source->slope_error > 0 ? source->slope_error + rounding : 0;
@@ -470,7 +470,7 @@ static core_fault prepare_table(core_profile *profile, const struct model *model
   profile->kernels = core_isa_lut_kernels(inputs.isa);
   profile->albedo = source->albedo;
   profile->reach = source->reach;
-  for (size_t i = 0; i <= CORE_MODEL_ERROR_BANDS; i++) {
+  for (size_t i = 0; i <= CORE_ERROR_BANDS; i++) {
     profile->T_errors[i] = source->T_errors[i] > 0 ? source->T_errors[i] + (double)FLT_EPSILON : 0;
   }
   profile->T_reach = source->T_reach;

@@ -107,8 +107,10 @@ void table_reply_put_surface(uint8_t *at, const core_varying *surface,
       .radius_most = (double)INFINITY,
       .reach = (double)INFINITY,
   };
-  for (size_t i = 0; i < sizeof fixed.model_errors / sizeof fixed.model_errors[0]; i++) {
+  for (size_t i = 0; i <= CORE_MODEL_ERROR_BANDS; i++) {
     fixed.model_errors[i] = (double)NAN;
+  }
+  for (size_t i = 0; i <= CORE_ERROR_BANDS; i++) {
     fixed.numerical_errors[i] = fixed.numerical_error;
   }
   wire_put_table_reply(at, &fixed);

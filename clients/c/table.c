@@ -124,7 +124,7 @@ static bool set_profile(dipole_table *table, const wire_table_reply *fixed,
   table->model_errors.exact = fixed->model_error == 0;
   memcpy(table->model_errors.error, fixed->model_errors, sizeof fixed->model_errors);
   memcpy(profile->numerical_errors, fixed->numerical_errors, sizeof fixed->numerical_errors);
-  for (size_t i = 0; i <= CORE_MODEL_ERROR_BANDS; i++) {
+  for (size_t i = 0; i <= CORE_ERROR_BANDS; i++) {
     if (!(fixed->numerical_errors[i] >= 0 &&
           fixed->numerical_errors[i] <= fixed->numerical_error)) {
       return damaged(error, "its errors by band of radii are not from 0 to its largest error");

@@ -26,11 +26,10 @@ enum { RATIOS = FIT_TABLE_RATIOS, PLACES = FIT_TABLE_PLACES };
 
 /* Returns the error of R(f), absolute: the errors of R, of each band of radii, times the light there. */
 static double error_of_waves(const core_profile *profile) {
-  double within[CORE_MODEL_ERROR_BANDS], sum = 0;
-  core_eval_f64(profile, CORE_QUANTITY_CDF, CORE_MODEL_ERROR_BANDS - 1, core_error_edges_mfp + 1,
-                within);
-  within[CORE_MODEL_ERROR_BANDS - 1] = 1;
-  for (size_t i = 0; i < CORE_MODEL_ERROR_BANDS; i++) {
+  double within[CORE_ERROR_BANDS], sum = 0;
+  core_eval_f64(profile, CORE_QUANTITY_CDF, CORE_ERROR_BANDS - 1, core_error_edges_mfp + 1, within);
+  within[CORE_ERROR_BANDS - 1] = 1;
+  for (size_t i = 0; i < CORE_ERROR_BANDS; i++) {
     sum = fma(profile->numerical_errors[i], within[i] - (i > 0 ? within[i - 1] : 0), sum);
   }
   return sum * profile->albedo;

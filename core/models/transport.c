@@ -497,7 +497,7 @@ core_reach core_transport_reach(const core_medium *medium) {
 
 /* The cdf and the pdf have the error of R and that of the energy that they are divided by. */
 static void set_all(core_added_errors *added) {
-  for (size_t i = 0; i <= CORE_MODEL_ERROR_BANDS; i++) {
+  for (size_t i = 0; i <= CORE_ERROR_BANDS; i++) {
     added->all = fmax(added->all, 2 * added->banded[i]);
   }
 }
@@ -508,7 +508,7 @@ void core_transport_added_errors(const core_medium *medium, core_added_errors *a
   if (is_isotropic(medium) || !is_stored(medium)) {
     return;
   }
-  const size_t bands = CORE_MODEL_ERROR_BANDS;
+  const size_t bands = CORE_ERROR_BANDS;
   /* Beyond the reach core_error_beyond() is added. */
   const double reach = core_transport_reach(medium).most_mm * core_sigma_t_prime(medium);
   for (size_t i = 0; i < bands; i++) {
@@ -543,7 +543,7 @@ bool core_transport_is_looked_up(const core_medium *medium, double tolerance) {
   core_added_errors added;
   core_transport_added_errors(medium, &added);
   double error = 0;
-  for (size_t i = 0; i < CORE_MODEL_ERROR_BANDS; i++) {
+  for (size_t i = 0; i < CORE_ERROR_BANDS; i++) {
     error = fmax(error, added.banded[i]);
   }
   return is_isotropic(medium) ||
@@ -616,10 +616,9 @@ static double ratio_of(const core_medium *medium) {
 /* Enters an error at a radius into the bands next to it. */
 static void enter_error(double error, double x, core_added_errors *added) {
   const double apart = 1.1; /* points are closer */
-  for (size_t i = 0; i < CORE_MODEL_ERROR_BANDS; i++) {
+  for (size_t i = 0; i < CORE_ERROR_BANDS; i++) {
     const double least = i == 0 ? 0 : core_error_edges_mfp[i];
-    const double most =
-        i + 1 == CORE_MODEL_ERROR_BANDS ? (double)INFINITY : core_error_edges_mfp[i + 1];
+    const double most = i + 1 == CORE_ERROR_BANDS ? (double)INFINITY : core_error_edges_mfp[i + 1];
     if (x * apart >= least && x <= most * apart) {
       added->banded[i] = fmax(added->banded[i], error);
     }
@@ -1028,7 +1027,7 @@ static core_fault find_albedo(const core_inputs *inputs, const core_medium *medi
   if (fault.field == NULL) {
     const transport_number found = inputs->light == CORE_LIGHT_BEAM ? total.normal : total.diffuse;
     preparation->albedo = medium->sigma_a_per_mm > 0 ? fmin(found.value, 1) : 1;
-    preparation->added.banded[CORE_MODEL_ERROR_BANDS] = 2 * found.error / fmax(found.value, 1e-300);
+    preparation->added.banded[CORE_ERROR_BANDS] = 2 * found.error / fmax(found.value, 1e-300);
   }
   return fault;
 }
@@ -1121,7 +1120,7 @@ static bool find_end_of_layers(const struct source *source, double *end, double 
 /* Beyond the last panel its error holds, and the reach adds to it. */
 static void extend_errors(const struct source *source, double end, core_added_errors *added) {
   const transport_number last = solved_at(source, real_exp_signed(end));
-  for (double x = real_exp_signed(end); x < 2 * core_error_edges_mfp[CORE_MODEL_ERROR_BANDS - 1];
+  for (double x = real_exp_signed(end); x < 2 * core_error_edges_mfp[CORE_ERROR_BANDS - 1];
        x *= 1.1) {
     enter_error(last.error / last.value, x, added);
   }
@@ -1180,7 +1179,7 @@ static core_fault prepare_side(const core_inputs *inputs, const solver_layers *l
   }
   extend_errors(&source, end, &preparation->added);
   preparation->albedo = fmin(total->value, 1);
-  preparation->added.banded[CORE_MODEL_ERROR_BANDS] = total->error / fmax(total->value, 1e-300);
+  preparation->added.banded[CORE_ERROR_BANDS] = total->error / fmax(total->value, 1e-300);
   set_errors(&source, &panels, preparation);
   preparation->reach.growth = fmax(growth, preparation->reach.growth);
   const core_fault fault =
@@ -1198,7 +1197,7 @@ static core_fault add_below(const core_inputs *inputs, const solver_layers *laye
   core_preparation below = {0};
   const core_fault fault = prepare_side(inputs, layers, 1, total, tolerance, &below);
   if (fault.field != NULL) {
-    for (size_t i = 0; i <= CORE_MODEL_ERROR_BANDS; i++) {
+    for (size_t i = 0; i <= CORE_ERROR_BANDS; i++) {
       preparation->T_added.banded[i] = (double)INFINITY;
     }
     set_all(&preparation->T_added);
@@ -1289,8 +1288,7 @@ core_fault core_transport_prepare(const core_inputs *inputs, core_preparation *p
   if (fault.field == NULL && !is_layered(inputs)) {
     preparation->balance[0] = preparation->albedo;
     preparation->balance[4] = 1 - preparation->albedo;
-    preparation->balance_error =
-        preparation->error + preparation->added.banded[CORE_MODEL_ERROR_BANDS];
+    preparation->balance_error = preparation->error + preparation->added.banded[CORE_ERROR_BANDS];
   } else if (fault.field == NULL && !scatters(inputs)) {
     preparation->balance_error = (double)INFINITY; /* it is not computed */
   }

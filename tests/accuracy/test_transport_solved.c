@@ -77,7 +77,7 @@ UNIT_TEST(isotropic_media_are_as_the_independent_solver_has_them) {
              true, &worst);
     }
     assert_true(fabs(profile.albedo / (ratio > 0 ? isotropic_total(truth) : 1) - 1) <=
-                profile.numerical_errors[CORE_MODEL_ERROR_BANDS]);
+                profile.numerical_errors[CORE_ERROR_BANDS]);
     printf("ratio %g, eta %g: %.2g of what is stated\n", ratio, eta, worst);
     isotropic_free(truth);
     isotropic_free(above);

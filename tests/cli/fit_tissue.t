@@ -6,12 +6,12 @@ model transport, moments exact, haemoglobin prahl, g 0.9, eta 1.4, scale absolut
 
 sample  unknown           value   error  numerical  status       chi2  readings  condition  sample is
 ------  --------------  -------  ------  ---------  ------  ---------  --------  ---------  ---------
-1       hbo2_uM              56    0.66    1.4e-01  fitted  2.098e-07        32       29.8     fitted
-1       hb_uM                24    0.42    7.7e-02  fitted  2.098e-07        32       29.8     fitted
-1       water_fraction      0.6  0.0065    1.3e-03  fitted  2.098e-07        32       29.8     fitted
-1       fat_fraction    0.29999   0.051    1.1e-02  fitted  2.098e-07        32       29.8     fitted
-1       a_per_mm            1.9   0.033    6.1e-03  fitted  2.098e-07        32       29.8     fitted
-1       b                   1.2   0.031    5.8e-03  fitted  2.098e-07        32       29.8     fitted
+1       hbo2_uM              56    0.66    1.3e-01  fitted  2.098e-07        32       29.8     fitted
+1       hb_uM                24    0.42    7.2e-02  fitted  2.098e-07        32       29.8     fitted
+1       water_fraction      0.6  0.0065    1.2e-03  fitted  2.098e-07        32       29.8     fitted
+1       fat_fraction    0.29999   0.051    9.1e-03  fitted  2.098e-07        32       29.8     fitted
+1       a_per_mm            1.9   0.033    5.7e-03  fitted  2.098e-07        32       29.8     fitted
+1       b                   1.2   0.031    5.4e-03  fitted  2.098e-07        32       29.8     fitted
 1       saturation          0.7  0.0045          -  fitted  2.098e-07        32       29.8     fitted
 1       total_uM             80    0.76          -  fitted  2.098e-07        32       29.8     fitted
 
@@ -20,11 +20,11 @@ shift a value; chi2 is the sum of the squares of (reading - fit) / error
 
 $ dipole fit bands.csv --unknown hbo2,hb=0:20,water,a,b --tissue fat=.3 --format csv
 sample,unknown,value,error,numerical,status,scale,scale_error,chi2,readings,condition,sample_status
-1,hbo2_uM,56.947614332571405,inf,0.13157841300381495,implausible,1,0,98.81299151914745,32,27.87691609029227,at-bound
-1,hb_uM,20,inf,0.08202275021744398,at-bound,1,0,98.81299151914745,32,27.87691609029227,at-bound
-1,water_fraction,0.620544075497948,inf,0.0013894652500235122,implausible,1,0,98.81299151914745,32,27.87691609029227,at-bound
-1,a_per_mm,2.227243266686356,inf,0.008149582913651053,implausible,1,0,98.81299151914745,32,27.87691609029227,at-bound
-1,b,1.4640417459375807,inf,0.00628500830919975,implausible,1,0,98.81299151914745,32,27.87691609029227,at-bound
+1,hbo2_uM,56.947614332571405,inf,0.11549313297566674,implausible,1,0,98.81299151914745,32,27.87691609029227,at-bound
+1,hb_uM,20,inf,0.07558760665854737,at-bound,1,0,98.81299151914745,32,27.87691609029227,at-bound
+1,water_fraction,0.620544075497948,inf,0.0012350417288075808,implausible,1,0,98.81299151914745,32,27.87691609029227,at-bound
+1,a_per_mm,2.227243266686356,inf,0.0074180338251337305,implausible,1,0,98.81299151914745,32,27.87691609029227,at-bound
+1,b,1.4640417459375807,inf,0.005708936535677257,implausible,1,0,98.81299151914745,32,27.87691609029227,at-bound
 1,saturation,0.7400829099969363,inf,,at-bound,1,0,98.81299151914745,32,27.87691609029227,at-bound
 1,total_uM,76.9476143325714,inf,,at-bound,1,0,98.81299151914745,32,27.87691609029227,at-bound
 ! dipole fit: bands.csv: 1 of 1 samples were not fitted whole: see the column status
@@ -35,11 +35,11 @@ fat=.3, haemoglobin by prahl, model transport, moments exact, g 0.9, eta 1.4, sc
 
 sample  unknown         value  error  numerical        status  scale  its error       chi2  readings  condition     sample is
 ------  --------------  -----  -----  ---------  ------------  -----  ---------  ---------  --------  ---------  ------------
-1       hbo2_uM             -    inf    1.0e+00  undetermined      1      0.011  2.031e-08         8        inf  undetermined
-1       hb_uM               -    inf    6.9e-02  undetermined      1      0.011  2.031e-08         8        inf  undetermined
-1       water_fraction      -    inf    1.1e-01  undetermined      1      0.011  2.031e-08         8        inf  undetermined
-1       a_per_mm          1.9   0.18    1.7e-02        fitted      1      0.011  2.031e-08         8        inf  undetermined
-1       b                 1.2   0.31    2.9e-02        fitted      1      0.011  2.031e-08         8        inf  undetermined
+1       hbo2_uM             -    inf    9.5e-01  undetermined      1      0.011  2.031e-08         8        inf  undetermined
+1       hb_uM               -    inf    6.3e-02  undetermined      1      0.011  2.031e-08         8        inf  undetermined
+1       water_fraction      -    inf    1.0e-01  undetermined      1      0.011  2.031e-08         8        inf  undetermined
+1       a_per_mm          1.9   0.18    1.6e-02        fitted      1      0.011  2.031e-08         8        inf  undetermined
+1       b                 1.2   0.31    2.8e-02        fitted      1      0.011  2.031e-08         8        inf  undetermined
 1       saturation          -    inf          -  undetermined      1      0.011  2.031e-08         8        inf  undetermined
 1       total_uM            -    inf          -  undetermined      1      0.011  2.031e-08         8        inf  undetermined
 

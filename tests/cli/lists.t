@@ -97,9 +97,9 @@ skin1, model transport, moments exact, tolerance 0.001
 channel  sigma_a  sigma_s  g  eta    albedo  pieces from   to  bytes    numerical error  holds up to   model error
             1/mm     1/mm                             mm   mm         relative, at most           mm  at all radii
 -------  -------  -------  -  ---  --------  -----------  ---  -----  -----------------  -----------  ------------
-red        0.032     0.74  0  1.3  0.439458    5.821e-11  512  19192            7.6e-04        111.1       0.0e+00
-green       0.17     0.88  0  1.3  0.213259     2.91e-11  256  19176            8.0e-04        43.72       0.0e+00
-blue        0.48     1.01  0  1.3  0.115435     2.91e-11  128  19112            7.4e-04        23.63       0.0e+00
+red        0.032     0.74  0  1.3  0.439458    5.821e-11  512  19208            7.6e-04        111.1       0.0e+00
+green       0.17     0.88  0  1.3  0.213259     2.91e-11  256  19192            8.0e-04        43.72       0.0e+00
+blue        0.48     1.01  0  1.3  0.115435     2.91e-11  128  19128            7.4e-04        23.63       0.0e+00
 numerical error: of R and cdf against the model's formula, as measured
 holds up to: the numerical error of R is larger at radii beyond this one
 model error: of the model against radiative transport
@@ -108,7 +108,7 @@ per unit of power launched: values times 1 - ((eta - 1) / (eta + 1))^2 = 0.98298
 
 $ dipole table --sigma-a 0.032 --sigma-s 0.74 --model better --g 0.97 --output a.table --format csv
 channel,sigma_a,sigma_s,g,eta,albedo,pieces_from,pieces_to,bytes,numerical_error,reach,model_error
-1,0.032,0.74,0.97,1.3,0.01747984589212022,9.313225746154785e-10,2048,21640,8.439217715535063e-5,inf,
+1,0.032,0.74,0.97,1.3,0.01747984589212022,9.313225746154785e-10,2048,21656,8.439217715535063e-5,inf,
 
 $ dipole eval --table a.table --r 0.1,1 --wanted R,cdf --format csv
 model,channel,sigma_a,sigma_s,g,eta,r,R,cdf,numerical_error,model_error,numerical_error_R,model_error_R,numerical_error_cdf,model_error_cdf,evaluator,notes

@@ -88,7 +88,7 @@ static void check_table(const dipole_table *table, const uint8_t *payload, size_
   dipole_errors errors;
   if (dipole_table_errors(table, DIPOLE_R, RADII, r, &errors)) {
     double least = fixed.numerical_error;
-    for (size_t i = 0; i < CORE_MODEL_ERROR_BANDS; i++) {
+    for (size_t i = 0; i < CORE_ERROR_BANDS; i++) {
       least = fixed.numerical_errors[i] < least ? fixed.numerical_errors[i] : least;
     }
     CHECK(!(errors.numerical_error < least));

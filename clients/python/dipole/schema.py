@@ -54,7 +54,7 @@ table_request: u16 model, u16 moments, u16 parameter_count, u16 layer_count
 table_reply: u16 layout, u16 model, u16 moments, u16 parameter_count, u32 word_count,
     u32 checksum, u32 notes, u32 layer_count, f64 albedo, f64 numerical_error,
     f64 numerical_error_per_mm, f64 model_error, f64 pieces_from, f64 pieces_to, f64 radius_least,
-    f64 radius_most, f64 reach, f64 reach_growth, f64 model_errors[11], f64 numerical_errors[11]
+    f64 radius_most, f64 reach, f64 reach_growth, f64 model_errors[11], f64 numerical_errors[13]
 offers_reply: u32 count, u32 taken
 offer: u16 model, u16 evaluator, u32 meets, f64 error, f64 numerical_error, f64 cost,
     f64 prepare_cost
