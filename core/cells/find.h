@@ -30,25 +30,27 @@ struct cells_place {
 };
 
 /* Finds the cell of a number in its octave. bits: the number's bits. The octave has
- * 2^(REAL_MANTISSA_BITS - shift) cells. */
+ * 2^(REAL_MANTISSA_BITS - shift) cells. t has the bits of the mantissa that are below those of the cell:
+ * no integer becomes a number, which AVX2 cannot do with 64 bits. */
 static inline struct cells_place cells_in_octave(cells_integer bits, cells_integer shift) {
-  const cells_integer mantissa = bits & (((cells_integer)1 << REAL_MANTISSA_BITS) - 1);
-  const cells_integer index = mantissa >> shift;
-  const cells_integer rest = mantissa - (index << shift);
-  const real unit = real_from_bits((real_bits)(REAL_EXPONENT_BIAS - shift) << REAL_MANTISSA_BITS);
-  return (struct cells_place){.cell = index, .t = (real)rest * unit};
+  const real_bits mantissa = ((real_bits)1 << REAL_MANTISSA_BITS) - 1;
+  const real_bits rest = (real_bits)bits << (REAL_MANTISSA_BITS - shift) & mantissa;
+  return (struct cells_place){
+      .cell = (cells_integer)(((real_bits)bits & mantissa) >> shift),
+      .t = real_from_bits(rest | REAL_ONE_BITS) - 1,
+  };
 }
 
 /* Finds the cell of a coordinate on an axis of a surface. axis: enum core_surface_axis; kept: the
  * coordinate, limited to the axis's range. */
 static inline struct cells_place cells_find(const real *words, cells_integer axis, real kept) {
   const cells_integer bits = (cells_integer)real_to_bits(kept);
-  const cells_integer octave =
-      (bits >> REAL_MANTISSA_BITS) - (REAL_EXPONENT_BIAS + CORE_SURFACE_EXPONENT);
+  const cells_integer octave = (cells_integer)((real_bits)bits >> REAL_MANTISSA_BITS) -
+                               (REAL_EXPONENT_BIAS + CORE_SURFACE_EXPONENT);
   const cells_integer entry =
       cells_word(words, CORE_SURFACE_ENTRIES + CORE_SURFACE_AXIS * axis + octave);
   struct cells_place place = cells_in_octave(bits, REAL_MANTISSA_BITS - (entry & 31));
-  place.cell += entry >> CORE_CELLS_ENTRY_BITS;
+  place.cell += (cells_integer)((real_bits)entry >> CORE_CELLS_ENTRY_BITS);
   /* cells for each unit of the coordinate: 2^(cuts - exponent) */
   place.per_unit =
       real_from_bits((real_bits)(REAL_EXPONENT_BIAS - octave - CORE_SURFACE_EXPONENT + (entry & 31))

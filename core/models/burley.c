@@ -185,7 +185,8 @@ static inline double burley_ln_R(const double *c, double r) {
                        real_log(normal ? 1 : kept, normal ? 0 : -UP_EXPONENT);
   const double ln_R = ratio - third;
   const double bounded = x < FAR ? ln_R : -(double)INFINITY;
-  return c[ALBEDO] > 0 ? (r > 0 ? bounded : (double)INFINITY) : -(double)INFINITY;
+  const double any = r > 0 ? bounded : (double)INFINITY;
+  return c[ALBEDO] > 0 ? any : -(double)INFINITY;
 }
 
 /* The derivatives of ln R by ln sigma_a and ln sigma_s': R depends on A and d, and d ln R / d
@@ -200,11 +201,10 @@ static inline struct derivatives burley_derivatives(const double *c, double r) {
   const double q2 = real_exp(-x * (2.0 / 3)).exp;
   const double by_per_d = 1 - x * (q2 + 1.0 / 3) / (1 + q2);
   /* where R is 0, its derivatives are 0 */
-  const bool shines = c[ALBEDO] > 0 && x < FAR;
-  return (struct derivatives){
-      .by_a = shines ? real_fma(c[PER_D_BY_A], by_per_d, c[A_BY_A]) : 0,
-      .by_s = shines ? real_fma(c[PER_D_BY_S], by_per_d, c[A_BY_S]) : 0,
-  };
+  const double shines = c[ALBEDO] > 0 ? FAR : 0;
+  const double by_a = real_fma(c[PER_D_BY_A], by_per_d, c[A_BY_A]);
+  const double by_s = real_fma(c[PER_D_BY_S], by_per_d, c[A_BY_S]);
+  return (struct derivatives){x < shines ? by_a : 0, x < shines ? by_s : 0};
 }
 
 static inline double burley_by_a(const double *c, double r) {
@@ -225,7 +225,8 @@ static inline double share(double x) {
 
 static inline double burley_cdf(const double *c, double r) {
   const double x = burley_x(c, r);
-  return c[ALBEDO] > 0 ? (x < WHOLE ? real_min(share(x), REAL_BELOW_1) : 1) : 0;
+  const double bounded = x < WHOLE ? real_min(share(x), REAL_BELOW_1) : 1;
+  return c[ALBEDO] > 0 ? bounded : 0;
 }
 
 /* Returns the radius in mm at which the cdf is u. With q = e^(-r / (3 d)) and w = 1 - q the cdf is
@@ -236,9 +237,10 @@ static inline double burley_cdf(const double *c, double r) {
  * / d = -3 ln(1 - w) for u < 0.5, which keeps the digits of a small w, and from x = -3 ln q
  * otherwise. */
 static inline double burley_sample(const double *c, double u) {
-  const double outside = 1 - u;
+  const double outside = 1 - u, d = c[D];
   double w = u * real_fma(0.33, u * u, 2.0 / 3);
   double q = outside * real_fma(-0.3, outside * outside, 4.0 / 3);
+#pragma GCC unroll 5
   for (int i = 0; i < 5; i++) {
     const double value = w * real_fma(w, w - 3, 6);
     w -= (value - 4 * u) / real_fma(3 * w, w - 2, 6);
@@ -262,8 +264,9 @@ static inline double burley_sample(const double *c, double u) {
   const double near = 2 * real_fma(s * t, series, s);
   const double far = -real_log(real_max(q, 1e-300), 0);
   const double x = 3 * (u < 0.5 ? near : far);
-  const double r = u < 1 ? x * c[D] : (double)INFINITY;
-  return ((c[ALBEDO] > 0) & (u > 0)) ? r : 0;
+  const double r = u < 1 ? x * d : (double)INFINITY;
+  const double any = u > 0 ? r : 0;
+  return c[ALBEDO] > 0 ? any : 0;
 }
 
 /* Adding 0 turns the radius -0 into 0. */

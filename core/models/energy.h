@@ -10,6 +10,7 @@
 static inline double energy_series(const double *table, int64_t at, double s) {
   double next = 0;
   double after = 0;
+#pragma GCC unroll 16
   for (int k = CORE_ENERGY_TERMS - 1; k >= 1; k--) {
     const double sum =
         table[at + k] + (2 * k + 1) * s / (k + 1) * next - (k + 1.0) / (k + 2) * after;
@@ -34,7 +35,8 @@ static inline double energy_cdf(const double *table, double r) {
   const double fallen = real_exp(shrunk * table[CORE_ENERGY_POWER]).exp;
   const double below = r < first ? fallen * (1 - rise * shrunk) : 1;
   const double bounded = real_min(real_max(inside * below, 0), REAL_BELOW_1);
-  return r > 0 ? (y < panels ? bounded : 1) : 0;
+  const double any = y < panels ? bounded : 1;
+  return r > 0 ? any : 0;
 }
 
 #endif

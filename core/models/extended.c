@@ -272,7 +272,8 @@ static void eval_cdf(const double *restrict c, size_t n, const double *restrict 
                      double *restrict out) {
   if (c[KAPPA] > 0) {
     for (size_t i = 0; i < n; i++) {
-      out[i] = c[CDF_LIMIT] > 0 ? energy_cdf(&c[ENERGY], r[i]) : 0;
+      const double cdf = energy_cdf(&c[ENERGY], r[i]);
+      out[i] = c[CDF_LIMIT] > 0 ? cdf : 0;
     }
   } else {
     eval_cdf_closed(c, n, r, out);
