@@ -174,111 +174,101 @@ static int read_samples(report *of) {
   return sheet->count > 0 ? CLI_OK : cli_fail("%s: there are no readings", sheet->source);
 }
 
-/* Returns the position of numbers, one in each of `lists` arrays of `room`, to which they are added if
- * they are new. */
-static size_t place_of(double *list, size_t room, size_t lists, size_t *count,
-                       const double *numbers) {
-  size_t i = 0;
-  for (bool found = false; i < *count; i += !found) {
-    found = true;
-    for (size_t k = 0; k < lists; k++) {
-      found &= !(list[k * room + i] < numbers[k] || list[k * room + i] > numbers[k]);
-    }
-    if (found) {
-      return i;
-    }
+enum { NM, PLACE, KEYS = 6 }; /* wavelength; r or f, discs, mhz, quantity */
+
+typedef struct reading {
+  double key[KEYS], value, error;
+} reading;
+
+/* Compares two readings by the numbers from `first` on. */
+static int compare_from(size_t first, const reading *a, const reading *b) {
+  int order = 0;
+  for (size_t k = first; k < KEYS && order == 0; k++) {
+    order = (a->key[k] > b->key[k]) - (a->key[k] < b->key[k]);
   }
-  for (size_t k = 0; k < lists; k++) {
-    list[k * room + i] = numbers[k];
-  }
-  ++*count;
-  return i;
+  return order;
 }
 
-/* The readings of a sample, by wavelength and place; arrays of `room` numbers. */
-typedef struct readings {
-  size_t room, wavelengths, places, count;
-  double *nm, *values, *errors;
-  double *place; /* [PLACE_NUMBERS][room] */
-  size_t *at;    /* of each reading among the values */
-} readings;
+static int compare_readings(const void *a, const void *b) {
+  return compare_from(NM, a, b);
+}
 
-enum { PLACE_NUMBERS = 5 }; /* r or f, discs, mhz, quantity */
-
-/* Lists the readings of line i of a sample. */
-static void list_readings(const report *of, const tissue_sample *one, size_t i, readings *to) {
+/* Lists the readings of a row. Returns how many. */
+static size_t list_readings(const report *of, size_t row, reading *to) {
   const cli_sheet *sheet = &of->sheet;
-  const size_t row = one->rows[i];
   const bool alone =
       sheet->at[VALUES + 2] == CLI_CSV_ABSENT && sheet->at[VALUES + 4] == CLI_CSV_ABSENT;
-  const double nm = cli_sheet_number(sheet, row, WAVELENGTH);
-  double place[PLACE_NUMBERS] = {cli_sheet_number(sheet, row, of->frequency ? FREQUENCY : RADIUS)};
+  reading one = {{cli_sheet_number(sheet, row, WAVELENGTH),
+                  cli_sheet_number(sheet, row, of->frequency ? FREQUENCY : RADIUS)}};
+  size_t count = 0;
   for (size_t k = SOURCE; k <= MHZ; k++) {
     const double number = cli_sheet_number(sheet, row, k);
-    place[1 + k - SOURCE] = isnan(number) ? 0 : number;
+    one.key[PLACE + 1 + k - SOURCE] = isnan(number) ? 0 : number;
   }
   for (size_t kind = 0; kind < KINDS; kind++) {
-    const double value = cli_sheet_number(sheet, row, VALUES + 2 * kind);
-    place[PLACE_NUMBERS - 1] = quantities[kind];
-    if (!isnan(value) || (kind == 0 && alone)) {
-      const size_t l = place_of(to->nm, to->room, 1, &to->wavelengths, &nm);
-      const size_t at = place_of(to->place, to->room, PLACE_NUMBERS, &to->places, place);
-      to->at[to->count] = l * to->room + at;
-      to->values[to->count] = value;
-      to->errors[to->count++] = cli_sheet_number(sheet, row, VALUES + 2 * kind + 1);
+    one.key[KEYS - 1] = quantities[kind];
+    one.value = cli_sheet_number(sheet, row, VALUES + 2 * kind);
+    one.error = cli_sheet_number(sheet, row, VALUES + 2 * kind + 1);
+    if (!isnan(one.value) || (kind == 0 && alone)) {
+      to[count++] = one;
     }
   }
+  return count;
 }
 
-/* Puts values and errors in the order of wavelengths and places. Returns whether each is there once. */
-static bool arrange(readings *of) {
-  double *ordered = cli_allocate(2 * of->room, sizeof *ordered);
-  bool *known = cli_allocate(of->room, sizeof *known);
-  bool whole = of->wavelengths * of->places == of->count;
-  for (size_t i = 0; i < of->count && whole; i++) {
-    const size_t to = of->at[i] / of->room * of->places + of->at[i] % of->room;
-    whole = !known[to];
-    known[to] = true;
-    ordered[to] = of->values[i];
-    ordered[of->room + to] = of->errors[i];
+/* Sorts readings by wavelength and place. Returns the number of places; 0 unless each wavelength has one
+ * reading at each of them. */
+static size_t sort_readings(reading *all, size_t count) {
+  size_t places = 0;
+  qsort(all, count, sizeof *all, compare_readings);
+  while (places < count && !(all[places].key[NM] > all[0].key[NM])) {
+    places++;
   }
-  of->values = ordered;
-  of->errors = ordered + of->room;
-  return whole;
+  for (size_t i = 1; i < count; i++) {
+    if (compare_from(PLACE, &all[i], &all[i % places]) != 0 ||
+        compare_readings(&all[i - 1], &all[i]) == 0) {
+      return 0;
+    }
+  }
+  return places == 0 || count % places > 0 ? 0 : places;
 }
 
 /* Requests the fit of a sample. */
 static int fit_sample(report *of, dipole_client *client, tissue_sample *one) {
   const size_t room = KINDS * one->count;
-  double *numbers = cli_allocate((3 + PLACE_NUMBERS) * room, sizeof *numbers);
-  readings all = {.room = room,
-                  .nm = numbers,
-                  .values = numbers + room,
-                  .errors = numbers + 2 * room,
-                  .place = numbers + 3 * room,
-                  .at = cli_allocate(room, sizeof *all.at)};
+  reading *all = cli_allocate(room, sizeof *all);
   for (size_t i = 0; i < one->count; i++) {
-    list_readings(of, one, i, &all);
+    one->readings += list_readings(of, one->rows[i], all + one->readings);
   }
-  one->readings = all.count;
-  if (!arrange(&all)) {
+  const size_t places = sort_readings(all, one->readings);
+  if (places == 0) {
     return cli_fail("%s: sample %s: each wavelength needs one reading at each of the same places",
                     of->sheet.source, one->name);
+  }
+  double *values = cli_allocate((2 + KEYS) * room, sizeof *values), *errors = values + room;
+  double *keys = errors + room; /* [KEYS][room]: of the wavelengths, and of the places */
+  for (size_t i = 0; i < one->readings; i++) {
+    values[i] = all[i].value;
+    errors[i] = all[i].error;
+    keys[i / places] = all[i].key[NM];
+    for (size_t k = PLACE; k < KEYS; k++) {
+      keys[k * room + i % places] = all[i].key[k];
+    }
   }
   dipole_error error;
   dipole_tissue_fit_query query = of->query;
   query.tissue.properties = of->properties;
-  query.tissue.wavelengths_nm = all.nm;
-  query.tissue.wavelength_count = (uint32_t)all.wavelengths;
+  query.tissue.wavelengths_nm = keys;
+  query.tissue.wavelength_count = (uint32_t)(one->readings / places);
   query.axis = of->frequency ? DIPOLE_AXIS_FREQUENCY : DIPOLE_AXIS_RADIUS;
-  query.place_count = (uint32_t)all.places;
-  query.at = all.place;
-  query.source_mm = all.place + room;
-  query.detector_mm = all.place + 2 * room;
-  query.mhz = all.place + 3 * room;
-  query.quantity = all.place + 4 * room;
-  query.values = all.values;
-  query.errors = all.errors;
+  query.place_count = (uint32_t)places;
+  query.at = keys + PLACE * room;
+  query.source_mm = query.at + room;
+  query.detector_mm = query.source_mm + room;
+  query.mhz = query.detector_mm + room;
+  query.quantity = query.mhz + room;
+  query.values = values;
+  query.errors = errors;
   const bool good =
       CLI_RETRY(of->settings, &error, dipole_fit_tissue(client, &query, &one->fits, &error));
   if (good) {

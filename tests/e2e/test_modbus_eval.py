@@ -383,7 +383,7 @@ def test_answering_takes_nothing_from_the_heap(daemon):
                 master.write_read(100, block, 300, 20)
                 master.write_one(5, 5)
                 with exception(BAD_ADDRESS):
-                    master.ask(struct.pack(">BHH", WRITE_REGISTER, 9000, 1))
+                    master.ask(struct.pack(">BHH", WRITE_REGISTER, 9900, 1))
 
         ask()
         before = one.allocations()

@@ -85,7 +85,7 @@ def test_the_same_answers_as_over_tcp(start):
 def test_exceptions(start):
     master, _ = start()
     for pdu, code in [
-        (struct.pack(">BHH", READ_HOLDING, 9000, 1), BAD_ADDRESS),
+        (struct.pack(">BHH", READ_HOLDING, 9900, 1), BAD_ADDRESS),
         (struct.pack(">BHH", WRITE_REGISTER, AT["ETA"], 1), BAD_ADDRESS),
         (b"\x07", BAD_FUNCTION),
         (b"\x41\x01\x02", BAD_FUNCTION),
@@ -188,7 +188,7 @@ def test_broadcasts_are_carried_out_and_not_answered(start):
     master.send(master.frame(0, struct.pack(">BHH", WRITE_REGISTER, AT["COMMIT"], 4)))
     assert master.is_silent()
     assert master.job(7)[:2] == (2, 4)
-    for pdu in (READ_ONE, struct.pack(">BHH", WRITE_REGISTER, 9000, 1), b"\x11"):
+    for pdu in (READ_ONE, struct.pack(">BHH", WRITE_REGISTER, 9900, 1), b"\x11"):
         master.send(master.frame(0, pdu))
         assert master.is_silent(0.05)
 
@@ -355,7 +355,7 @@ def test_echo_of_other_functions(echo):
         adapter.write_one(0, 5, 7)
         assert adapter.read(0, 2, 7) == words(5, 2)
         with exception(BAD_ADDRESS):
-            adapter.read(9000, 1, 7)
+            adapter.read(9900, 1, 7)
         block = input_block(3, radii=[0.5, 1.0, 2.0])
         assert as_words(adapter.write_read(100, block, 300, 20, 7)[:4]) == [2, 3]
     assert adapter.is_silent(0.3)
