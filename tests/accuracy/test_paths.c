@@ -56,7 +56,7 @@ static void expect(const char *what, double r, double value, double truth, doubl
 
 /* ---- a random walk ---------------------------------------------------------------------------- */
 
-enum { RINGS = 6, BATCHES = 40, BATCHES_SHORT = 16, PHOTONS = 24000 };
+enum { RINGS = 6, BATCHES = 40, BATCHES_SHORT = 8, PHOTONS = 24000 };
 static const double ring_mm[RINGS] = {2, 5, 10, 20, 30, 40};
 #define RING_LEAST 0.95 /* of its middle */
 #define RING_MOST 1.05

@@ -1,5 +1,5 @@
-/* The model transport for g other than 0: its values and stated errors against the solver. truth.c
- * compares its evaluators, and test_distributions.c its quantities, with each other. */
+/* The model transport for g other than 0: its values, derivatives and stated errors against the solver.
+ * test_distributions.c compares its quantities with each other. */
 #include <math.h>
 
 #include "core/choose.h"
@@ -20,8 +20,8 @@ static core_profile prepare(const core_medium *medium, unsigned evaluator, doubl
 static double stated(const core_profile *profile, unsigned wanted, double least, double most) {
   const core_stated_errors errors =
       core_profile_errors(profile, wanted, (core_radii_range){least, most});
-  assert_true(errors.numerical_per_mm == 0);
-  return errors.numerical;
+  assert_true(errors.numerical_per_mm == 0 || wanted == CORE_QUANTITY_BY_SIGMA_A);
+  return errors.numerical + (least == most ? errors.numerical_per_mm * most : 0);
 }
 
 /* Lengths in mean free paths 1 / sigma_t'. */
@@ -50,14 +50,17 @@ struct excess {
   double R, slope;
 };
 
-/* Compares R and dR/dr with the solution for boundary e at random radii. */
-static void compare_with_solution(const solver_solution *solution, size_t e,
-                                  const core_medium *medium, core_radii_range radii, double R_least,
-                                  uint64_t *random, struct excess *excess) {
+/* Compares an evaluator's R and dR/dr with the solution for boundary e at random radii, and its total. */
+static void compare_with_solution(const solver_solution *solution, size_t e, transport_number total,
+                                  const core_medium *medium, unsigned evaluator,
+                                  core_radii_range radii, double R_least, uint64_t *random,
+                                  struct excess *excess) {
   enum { RADII = 24 };
-  core_profile profile = prepare(medium, CORE_EVALUATOR_F64, (double)NAN);
+  core_profile profile = prepare(medium, evaluator, (double)NAN);
+  assert_true(fabs(profile.albedo / total.value - 1) <=
+              stated(&profile, CORE_QUANTITY_ALBEDO, 1, 0) + total.error / total.value);
   for (size_t i = 0; i < RADII; i++) {
-    const double r = unit_random_log(random, radii.least_mm, radii.most_mm);
+    const double r = (double)(float)unit_random_log(random, radii.least_mm, radii.most_mm);
     const transport_number truth = solver_at(solution, e, r);
     const double error = truth.error / truth.value;
     if (truth.value < R_least || error > 2e-3) {
@@ -78,22 +81,78 @@ static void compare_with_solution(const solver_solution *solution, size_t e,
   core_profile_free(&profile);
 }
 
-/* The same for each of three boundaries, for which the medium is solved. */
+/* The same for each evaluator and three boundaries, for which the medium is solved. */
 static struct excess compare_with_solver(double ratio, double g, const double etas[3],
                                          double tolerance, core_radii_range radii, double R_least,
                                          uint64_t *random) {
   const solver_phase phase = {g, 0, NULL};
   struct excess excess = {0, 0};
   solver_solution *solution;
+  solver_total totals[3];
   unit_assert_fault(
       solver_solve(&solution, core_isa_select(NULL), ratio, &phase, etas, 3, tolerance), NULL, 0);
-  for (size_t e = 0; e < 3; e++) {
-    const core_medium medium = medium_of(ratio, g, etas[e]);
-    compare_with_solution(solution, e, &medium, radii, R_least, random, &excess);
+  unit_assert_fault(solver_totals(totals, core_isa_select(NULL), ratio, &phase, etas, 3), NULL, 0);
+  for (size_t i = 0; i < 9; i++) {
+    const core_medium medium = medium_of(ratio, g, etas[i / 3]);
+    compare_with_solution(solution, i / 3, totals[i / 3].normal, &medium, evaluators[i % 3], radii,
+                          R_least, random, &excess);
   }
   solver_free(solution);
   printf("of what is allowed: R %.2f, dR/dr %.2f\n", excess.R, excess.slope);
   return excess;
+}
+
+/* Returns the derivative by x from values at five x that are h apart, by differences of order 4. */
+static double difference(const double value[5], double h) {
+  return (8 * (value[3] - value[1]) - (value[4] - value[0])) / (12 * h);
+}
+
+/* Compares derivatives of ln R with differences of solutions for media of other sigma_a, and of the
+ * medium's own at other radii. */
+static void compare_derivatives(double ratio, double g, const double etas[3], uint64_t *random) {
+  enum { MEDIA = 5, RADII = 60 };
+  const double h = 0.08;
+  const solver_phase phase = {g, 0, NULL};
+  solver_solution *solutions[MEDIA];
+  core_parameters parameters = core_parameters_none();
+  parameters.value[CORE_PARAMETER_DERIVATIVES] = 1;
+  for (int k = 0; k < MEDIA; k++) {
+    unit_assert_fault(solver_solve(&solutions[k], core_isa_select(NULL), ratio * exp((k - 2) * h),
+                                   &phase, etas, 3, 1e-3),
+                      NULL, 0);
+  }
+  double worst = 0;
+  for (size_t e = 0; e < 9; e++) {
+    const core_medium medium = medium_of(ratio, g, etas[e / 3]);
+    core_profile profile =
+        unit_profile(CORE_MODEL_TRANSPORT, evaluators[e % 3], &medium, &parameters);
+    for (size_t i = 0; i < RADII; i++) {
+      const double r = (double)(float)unit_random_log(random, 0.005, 25);
+      double by_a[MEDIA], by_r[MEDIA], unsure = 0;
+      for (int k = 0; k < MEDIA; k++) {
+        const double other = 1 + medium.sigma_a_per_mm * (exp((k - 2) * h) - 1);
+        const transport_number R = solver_at(solutions[k], e / 3, r * other);
+        by_a[k] = log(R.value * other * other);
+        by_r[k] = log(solver_at(solutions[2], e / 3, r * exp((k - 2) * h)).value);
+        unsure = fmax(unsure, R.value > 1e-12 ? R.error / R.value : 1);
+      }
+      const double a = difference(by_a, h), s = 2 + difference(by_r, h) - a;
+      const double off = fmax(fabs(unit_value_at(&profile, CORE_QUANTITY_BY_SIGMA_A, r) - a),
+                              fabs(unit_value_at(&profile, CORE_QUANTITY_BY_SIGMA_S, r) - s));
+      const double allowed = stated(&profile, CORE_QUANTITY_BY_SIGMA_A, r, r) + unsure;
+      if (unsure < 3e-3 && !(off <= allowed)) {
+        fail_msg("g %g, eta %g, evaluator %u, r %g: derivatives are off by %g, allowed %g", g,
+                 medium.eta, evaluators[e % 3], r, off, allowed);
+      }
+      worst = unsure < 3e-3 ? fmax(worst, off / allowed) : worst;
+    }
+    core_profile_free(&profile);
+  }
+  for (int k = 0; k < MEDIA; k++) {
+    solver_free(solutions[k]);
+  }
+  printf("of what is allowed: derivatives %.2f\n", worst);
+  assert_true(worst > 0);
 }
 
 UNIT_TEST(values_are_those_of_the_solver) {
@@ -105,6 +164,7 @@ UNIT_TEST(values_are_those_of_the_solver) {
     const double etas[] = {unit_random_between(&random, 0.7, 1), 1,
                            unit_random_between(&random, 1, 2.2)};
     compare_with_solver(ratio, g, etas, 1e-3, (core_radii_range){0.01, 20}, 1e-12, &random);
+    compare_derivatives(ratio, g, etas, &random);
   }
 }
 

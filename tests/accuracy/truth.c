@@ -13,8 +13,7 @@
  *   by more than 0.9 of its stated error is compared with the formula itself.
  *
  * Two models have no formula: `transport` is compared with itself at its own tolerance, and
- * the stated errors of both are added, and in two of 48 rounds, once with g other than 0, its R and
- * the derivatives of ln R with solutions of neighbouring media;
+ * the stated errors of both are added (test_transport_g.c and test_derivative.c compare it with solutions);
  * `gaussians` is compared with the model that it was fitted to. Path lengths are compared with the
  * formula's derivatives, and modulated light with the formula continued from 36 absorptions. Besides values the rounds check
  * samples (core_sample), inversions (invert_albedo), that a cdf never falls once it is 1, and
@@ -45,7 +44,6 @@
 
 #include "core/kernels.h"
 #include "core/ruler.h"
-#include "core/solver/solver.h"
 #include "core/splitmix.h"
 #include "tests/accuracy/forms.h"
 #include "tests/accuracy/inversion.h"
@@ -1062,188 +1060,6 @@ static void check_model_errors(uint64_t *random) {
   core_profile_free(&ruler);
 }
 
-/* Compares a profile's derivatives at r mm with those by ln sigma_a and ln sigma_s, which may
- * themselves be off by `unsure`. */
-static void compare_both(const struct subject *s, enum evaluator e, double r, const double truth[2],
-                         double unsure) {
-  const core_profile *profile = &s->profiles[e];
-  const core_stated_errors errors =
-      core_profile_errors(profile, CORE_QUANTITY_BY_SIGMA_A, (core_radii_range){r, r});
-  const double allowed = errors.numerical + errors.numerical_per_mm * r + unsure;
-  for (int i = 0; i < 2; i++) {
-    const int q = i == 0 ? CORE_ELEMENTWISE_BY_SIGMA_A : CORE_ELEMENTWISE_BY_SIGMA_S;
-    double value;
-    evaluate(profile, quantities[q], 1, &r, &value);
-    const double off = fabs(value - truth[i]);
-    if (allowed < 1) {
-      count(s, e, q, off <= allowed, off / allowed, r, value, truth[i]);
-    }
-  }
-}
-
-/* Sets by[2] to the derivatives by ln sigma_a and ln sigma_s, from ln R of five media whose sigma_a is
- * e^h times the last one's, and ln R of the middle one at five radii, each e^h times the last one. */
-static void differences(const double by_a[5], const double by_r[5], double h, double by[2]) {
-  by[0] = (8 * (by_a[3] - by_a[1]) - (by_a[4] - by_a[0])) / (12 * h);
-  by[1] = 2 + (8 * (by_r[3] - by_r[1]) - (by_r[4] - by_r[0])) / (12 * h) - by[0];
-}
-
-/* The same profiles with derivatives. Returns false if there is none. */
-static bool prepare_with_derivatives(struct subject *s, enum evaluator e) {
-  core_parameters parameters = core_parameters_none();
-  parameters.value[CORE_PARAMETER_DERIVATIVES] = 1;
-  return core_profile_prepare(&s->profiles[e], core_isa_select(NULL), CORE_MODEL_TRANSPORT,
-                              s->moments, evaluator_ids[e], &s->medium, &parameters)
-             .field == NULL;
-}
-
-static void begin_transport(struct subject *s) {
-  s->model = 0;
-  while (models[s->model] != CORE_MODEL_TRANSPORT) {
-    s->model++;
-  }
-  s->moments = CORE_MOMENTS_EXACT;
-  s->parameters = core_parameters_none();
-}
-
-/* Compares derivatives of transport for g = 0 with differences of its profiles at the tightest
- * tolerance. */
-static void check_isotropic_derivatives(uint64_t *random) {
-  enum { MEDIA = 5 };
-  static struct subject s;
-  const double h = 0.02, ratio = log_between(random, 1e-5, 50);
-  const double eta = below(random, 4) ? between(random, 0.7, 2.2) : between(random, 0.3, 3.9);
-  core_profile fine[MEDIA];
-  core_parameters tightest = core_parameters_none();
-  tightest.value[CORE_PARAMETER_TOLERANCE] =
-      1e-7; /* not on the finest grid, which takes half a minute */
-  begin_transport(&s);
-  s.medium = (core_medium){ratio / (1 + ratio), 1 / (1 + ratio), 0, eta};
-  int ready = 0;
-  for (core_medium other = s.medium; ready < MEDIA; ready++) {
-    other.sigma_a_per_mm = s.medium.sigma_a_per_mm * exp((ready - 2) * h);
-    if (core_profile_prepare(&fine[ready], core_isa_select(NULL), CORE_MODEL_TRANSPORT, s.moments,
-                             CORE_EVALUATOR_F64, &other, &tightest)
-            .field != NULL) {
-      break;
-    }
-  }
-  for (int e = F64; e <= LUT && ready == MEDIA; e++) {
-    if (!prepare_with_derivatives(&s, e)) {
-      continue;
-    }
-    for (size_t i = 0; i < 4 * SOLVED; i++) {
-      const double r = (double)(float)log_between(random, 1e-4, 0.85 * fine[2].reach.most_mm);
-      double by_a[MEDIA], by_r[MEDIA], by[2];
-      for (int k = 0; k < MEDIA; k++) {
-        const double near = r * exp((k - 2) * h);
-        core_eval_f64(&fine[k], CORE_QUANTITY_LN_R, 1, &r, &by_a[k]);
-        core_eval_f64(&fine[2], CORE_QUANTITY_LN_R, 1, &near, &by_r[k]);
-      }
-      differences(by_a, by_r, h, by);
-      /* what differences of order 4 leave out, and the tolerance of ln R */
-      compare_both(&s, e, r, by, 1e-6 * (1 + fabs(by[0]) + fabs(by[1])));
-    }
-    core_profile_free(&s.profiles[e]);
-  }
-  while (ready > 0) {
-    core_profile_free(&fine[--ready]);
-  }
-}
-
-/* Compares derivatives with differences of solutions for media whose sigma_a is e^h times the last
- * one's. */
-static void compare_derivatives_with(struct subject *s, solver_solution *const solutions[5],
-                                     size_t boundary, double h, uint64_t *random) {
-  const double sigma_t = core_sigma_t_prime(&s->medium), sigma_a = s->medium.sigma_a_per_mm;
-  for (int e = F64; e <= LUT; e++) {
-    if (!prepare_with_derivatives(s, e)) {
-      continue;
-    }
-    for (size_t i = 0; i < SOLVED; i++) {
-      const double r = (double)(float)log_between(random, 0.005, 25);
-      double by_a[5], by_r[5], by[2], unsure = 0;
-      for (int k = 0; k < 5; k++) {
-        const double other = sigma_t + sigma_a * (exp((k - 2) * h) - 1);
-        const transport_number R = solver_at(solutions[k], boundary, r * other);
-        by_a[k] = log(R.value * other * other);
-        by_r[k] = log(solver_at(solutions[2], boundary, r * exp((k - 2) * h)).value);
-        unsure = fmax(unsure, R.value > 1e-12 ? R.error / R.value : 1);
-      }
-      differences(by_a, by_r, h, by);
-      if (unsure < 3e-3) {
-        compare_both(s, e, r, by, unsure);
-      }
-    }
-    core_profile_free(&s->profiles[e]);
-  }
-}
-
-/* Compares the evaluators of transport with solutions for one g other than 0, of some
- * boundaries. */
-static void check_scattering(uint64_t *random) {
-  enum { BOUNDARIES = 3, MEDIA = 5 };
-  static struct subject s;
-  const double h = 0.08;
-  const double g = between(random, -0.5, 0.95), ratio = log_between(random, 1e-5, 80);
-  const double boundaries[BOUNDARIES] = {between(random, 0.7, 1), 1, between(random, 1, 2.2)};
-  const solver_phase phase = {g, 0, NULL};
-  solver_solution *solutions[MEDIA];
-  solver_total totals[BOUNDARIES];
-  begin_transport(&s);
-  int ready = 0;
-  while (ready < MEDIA &&
-         solver_solve(&solutions[ready], core_isa_select(NULL), ratio * exp((ready - 2) * h),
-                      &phase, boundaries, BOUNDARIES, 1e-3)
-                 .field == NULL) {
-    ready++;
-  }
-  if (ready < MEDIA) {
-    while (ready > 0) {
-      solver_free(solutions[--ready]);
-    }
-    return;
-  }
-  const solver_solution *solution = solutions[2];
-  solver_totals(totals, core_isa_select(NULL), ratio, &phase, boundaries, BOUNDARIES);
-  for (size_t b = 0; b < BOUNDARIES; b++) {
-    s.medium = (core_medium){ratio / (1 + ratio), 1 / (1 + ratio) / (1 - g), g, boundaries[b]};
-    for (int e = F64; e <= LUT; e++) {
-      core_profile *profile = &s.profiles[e];
-      if (core_profile_prepare(profile, core_isa_select(NULL), CORE_MODEL_TRANSPORT, s.moments,
-                               evaluator_ids[e], &s.medium, NULL)
-              .field != NULL) {
-        continue;
-      }
-      const transport_number total = totals[b].normal;
-      const double allowed_total =
-          core_profile_errors(profile, CORE_QUANTITY_ALBEDO, (core_radii_range){1, 0}).numerical +
-          total.error / total.value;
-      const double off_total = fabs(profile->albedo / total.value - 1);
-      count(&s, e, ALBEDO, off_total <= allowed_total, off_total / allowed_total, 0,
-            profile->albedo, total.value);
-      for (size_t i = 0; i < SOLVED; i++) {
-        const double r = (double)(float)log_between(random, 0.005, 25);
-        const transport_number R = solver_at(solution, b, r);
-        double value;
-        evaluate(profile, CORE_QUANTITY_R, 1, &r, &value);
-        const core_stated_errors errors =
-            core_profile_errors(profile, CORE_QUANTITY_R, (core_radii_range){r, r});
-        const double allowed = errors.numerical + R.error / R.value;
-        const double off = fabs(value / R.value - 1);
-        if (R.value > 1e-30 && allowed < 1) {
-          count(&s, e, CORE_ELEMENTWISE_R, off <= allowed, off / allowed, r, value, R.value);
-        }
-      }
-      core_profile_free(profile);
-    }
-    compare_derivatives_with(&s, solutions, b, h, random);
-  }
-  while (ready > 0) {
-    solver_free(solutions[--ready]);
-  }
-}
-
 static void run_round(uint64_t seed, unsigned only) {
   uint64_t random = seed + round_now * UINT64_C(0xd1342543de82ef95);
   core_splitmix(&random);
@@ -1258,12 +1074,6 @@ static void run_round(uint64_t seed, unsigned only) {
   }
   if (only == 0 && round_now % 4 == 0) {
     check_model_errors(&random);
-  }
-  if (round_now % 48 == 7 && (only == 0 || only == CORE_MODEL_TRANSPORT)) {
-    check_scattering(&random);
-  }
-  if (round_now % 48 == 15 && (only == 0 || only == CORE_MODEL_TRANSPORT)) {
-    check_isotropic_derivatives(&random);
   }
 }
 
