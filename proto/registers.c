@@ -135,9 +135,12 @@ const registers_field *registers_named(const registers_job *job, const char *nam
   const registers_field *found = NULL;
   for (const registers_field *at = registers_fields; at->name != NULL; at++) {
     const unsigned block = block_at[at->address];
-    if ((at->access == REGISTERS_RO) == is_result && strcmp(at->name, name) == 0 &&
-        (block == own || (found == NULL && !is_result && is_input_block(block)))) {
+    if ((block == own || (found == NULL && !is_result && is_input_block(block))) &&
+        (at->access == REGISTERS_RO) == is_result && strcmp(at->name, name) == 0) {
       found = at;
+      if (block == own) {
+        break;
+      }
     }
   }
   return found;

@@ -10,6 +10,8 @@
  *   ratio.service.bulk             dipoled over the sum of echo and kernel
  *   service.rtt.<side>.p50 ...     round trip of 16 radii, one at a time                       us
  *   ratio.service.rtt              dipoled over echo
+ *   ratio.service.<...>.epoll      an echo server that asks epoll for each request, over one that
+ *                                  does not: the least that a server of many connections can have
  *   service.many.rate              requests of 16 radii to dipoled over 32 connections, 16 at a time
  *                                  on each, which wait for each other                  requests/s
  *   service.many.cpu               processor time of dipoled for one request                   us
@@ -24,6 +26,7 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/epoll.h>
 #include <sys/prctl.h>
 #include <sys/socket.h>
 #include <sys/time.h>
@@ -275,15 +278,20 @@ static void free_exchange(const struct exchange *exchange) {
 
 /* ---- sides -------------------------------------------------------------------------------- */
 
-/* Starts the echo server. Returns the client's end of its connection. */
-static int start_echo(pid_t *server, const struct exchange *exchange) {
+/* Starts the echo server. With `waits` it asks epoll for each request, as an event loop does. Returns
+ * the client's end of its connection. */
+static int start_echo(pid_t *server, const struct exchange *exchange, bool waits) {
   int ends[2];
   if (socketpair(AF_UNIX, SOCK_STREAM, 0, ends) != 0) {
     bench_fail("there is no pair of sockets");
   }
   *server = fork_child(FIRST_CORE);
   if (*server == 0) {
-    while (receive_all(ends[1], exchange->received, exchange->request_bytes) &&
+    const int epoll = epoll_create1(0);
+    struct epoll_event event = {.events = EPOLLIN};
+    epoll_ctl(epoll, EPOLL_CTL_ADD, ends[1], &event);
+    while ((!waits || epoll_wait(epoll, &event, 1, -1) == 1) &&
+           receive_all(ends[1], exchange->received, exchange->request_bytes) &&
            send_all(ends[1], exchange->reply, exchange->reply_bytes)) {
     }
     _exit(EXIT_FAILURE);
@@ -325,16 +333,18 @@ static double kernel_us(const struct exchange *exchange) {
 /* Round trips. The ratio's base is echo, with the kernel's time if with_kernel. */
 static void measure_pings(const struct exchange *exchange, pid_t server, bool with_kernel,
                           const char *name) {
-  pid_t echo_server;
-  struct side sides[] = {{.name = "dipoled", .fd = connect_to(server)},
-                         {.name = "echo", .fd = start_echo(&echo_server, exchange)}};
+  enum { DIPOLED, ECHO, WAITING_ECHO, SIDES };
+  pid_t echo, waiting_echo;
+  struct side sides[SIDES] = {{.name = "dipoled", .fd = connect_to(server)},
+                              {.name = "echo", .fd = start_echo(&echo, exchange, false)},
+                              {.name = "epoll", .fd = start_echo(&waiting_echo, exchange, true)}};
   double kernels_us[ROUNDS] = {0}, floor_us[ROUNDS];
   bench_progress(name);
-  for (size_t i = 0; i < 2; i++) {
+  for (size_t i = 0; i < SIDES; i++) {
     ping(sides[i].fd, exchange, WARM_UP_NS);
   }
   for (size_t round = 0; round < ROUNDS; round++) {
-    for (size_t i = 0; i < 2; i++) {
+    for (size_t i = 0; i < SIDES; i++) {
       const size_t count = ping(sides[i].fd, exchange, ROUND_NS);
       sides[i].p50_us[round] = bench_median(samples_us, count);
       sides[i].p99_us[round] = samples_us[(count - 1) * 99 / 100];
@@ -343,10 +353,11 @@ static void measure_pings(const struct exchange *exchange, pid_t server, bool wi
       }
     }
     kernels_us[round] = with_kernel ? kernel_us(exchange) : 0;
-    floor_us[round] = sides[1].p50_us[round] + kernels_us[round];
+    floor_us[round] = sides[ECHO].p50_us[round] + kernels_us[round];
   }
-  end_child(echo_server);
-  for (size_t i = 0; i < 2; i++) {
+  end_child(echo);
+  end_child(waiting_echo);
+  for (size_t i = 0; i < SIDES; i++) {
     close(sides[i].fd);
     const char *side = sides[i].name;
     bench_figure(bench_median_of(sides[i].p50_us, ROUNDS), "us", "service.%s.%s.p50", name, side);
@@ -356,8 +367,10 @@ static void measure_pings(const struct exchange *exchange, pid_t server, bool wi
   if (with_kernel) {
     bench_figure(bench_median_of(kernels_us, ROUNDS), "us", "service.%s.kernel", name);
   }
-  bench_figure(bench_median_ratio(sides[0].p50_us, floor_us, ROUNDS), "times", "ratio.service.%s",
-               name);
+  bench_figure(bench_median_ratio(sides[DIPOLED].p50_us, floor_us, ROUNDS), "times",
+               "ratio.service.%s", name);
+  bench_figure(bench_median_ratio(sides[WAITING_ECHO].p50_us, sides[ECHO].p50_us, ROUNDS), "times",
+               "ratio.service.%s.epoll", name);
 }
 
 static void measure_many(const struct exchange *exchange, pid_t server) {
