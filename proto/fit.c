@@ -5,23 +5,19 @@
 
 #include "proto/schema.h"
 
-wire_error fit_request_parse(const uint8_t *payload, size_t payload_bytes, fit_request *request) {
-  schema_layout layout;
+wire_error fit_request_parse(const uint8_t *payload, const schema_layout *layout,
+                             fit_request *request) {
   core_parameters parameters;
-  const wire_error error = schema_check(&schema_fit_request, payload, payload_bytes, &layout);
-  if (error.status != WIRE_STATUS_OK) {
-    return error;
-  }
   wire_get_fit_request(payload, &request->fixed);
   wire_get_fit_design(payload + WIRE_BYTES_fit_request, &request->design);
   if (request->design.scale == CORE_FIT_SCALE_FREE && request->design.reading_count < 3) {
     return wire_error_make(WIRE_STATUS_BAD_COUNT, "reading_count", "3 or more with the scale free");
   }
   request->design_bytes = payload + WIRE_BYTES_fit_request;
-  request->design_bytes_count = (size_t)layout.parts[FIT_VALUES].at - WIRE_BYTES_fit_request;
-  request->values = (const double *)(const void *)(payload + layout.parts[FIT_VALUES].at);
-  request->errors = (const double *)(const void *)(payload + layout.parts[FIT_ERRORS].at);
-  return schema_parse_parameters(payload + layout.parts[FIT_PARAMETERS].at,
+  request->design_bytes_count = (size_t)layout->parts[FIT_VALUES].at - WIRE_BYTES_fit_request;
+  request->values = (const double *)(const void *)(payload + layout->parts[FIT_VALUES].at);
+  request->errors = (const double *)(const void *)(payload + layout->parts[FIT_ERRORS].at);
+  return schema_parse_parameters(payload + layout->parts[FIT_PARAMETERS].at,
                                  request->design.parameter_count, 1, &parameters);
 }
 

@@ -30,7 +30,8 @@ typedef struct fit_request {
 } fit_request;
 
 /* Parses a payload: schema_check(), the readings of a free scale, and the parameters. */
-wire_error fit_request_parse(const uint8_t *payload, size_t payload_bytes, fit_request *request);
+wire_error fit_request_parse(const uint8_t *payload, const schema_layout *layout,
+                             fit_request *request);
 
 /* Reads the design of a request that was parsed; the bytes may be a copy at a multiple of 8. */
 void fit_design_read(const uint8_t *design_bytes, fit_design *design);

@@ -29,14 +29,9 @@ void gather_name_end(gather_name *name, uint64_t set[2]) {
 
 /* ---- points ---------------------------------------------------------------------------------- */
 
-wire_error points_request_parse(const uint8_t *payload, size_t payload_bytes,
+wire_error points_request_parse(const uint8_t *payload, const schema_layout *layout,
                                 points_request *request) {
   wire_points_request *fixed = &request->fixed;
-  schema_layout layout;
-  const wire_error error = schema_check(&schema_points_request, payload, payload_bytes, &layout);
-  if (error.status != WIRE_STATUS_OK) {
-    return error;
-  }
   wire_get_points_request(payload, fixed);
   if (fixed->point_first > fixed->point_count) {
     return wire_error_make(WIRE_STATUS_BAD_COUNT, "point_first", "at most point_count");
@@ -45,9 +40,9 @@ wire_error points_request_parse(const uint8_t *payload, size_t payload_bytes,
     return wire_error_make(WIRE_STATUS_BAD_COUNT, "part_points",
                            "no more points than the set has from point_first on");
   }
-  request->xyz = (const double *)(const void *)(payload + layout.parts[0].at);
-  request->power = (const float *)(const void *)(payload + layout.parts[1].at);
-  return error;
+  request->xyz = (const double *)(const void *)(payload + layout->parts[0].at);
+  request->power = (const float *)(const void *)(payload + layout->parts[1].at);
+  return wire_error_none();
 }
 
 bool points_reply_parse(const uint8_t *payload, size_t payload_bytes, wire_points_reply *fixed) {
@@ -60,17 +55,12 @@ bool points_reply_parse(const uint8_t *payload, size_t payload_bytes, wire_point
 
 /* ---- gather ---------------------------------------------------------------------------------- */
 
-wire_error gather_request_parse(const uint8_t *payload, size_t payload_bytes,
+wire_error gather_request_parse(const uint8_t *payload, const schema_layout *layout,
                                 gather_request *request) {
-  schema_layout layout;
-  const wire_error error = schema_check(&schema_gather_request, payload, payload_bytes, &layout);
-  if (error.status != WIRE_STATUS_OK) {
-    return error;
-  }
   wire_get_gather_request(payload, &request->fixed);
-  request->media = (const core_medium *)(const void *)(payload + layout.parts[0].at);
-  request->queries = (const double *)(const void *)(payload + layout.parts[2].at);
-  return schema_parse_parameters(payload + layout.parts[1].at, request->fixed.parameter_count,
+  request->media = (const core_medium *)(const void *)(payload + layout->parts[0].at);
+  request->queries = (const double *)(const void *)(payload + layout->parts[2].at);
+  return schema_parse_parameters(payload + layout->parts[1].at, request->fixed.parameter_count,
                                  request->fixed.layer_count, &request->parameters);
 }
 

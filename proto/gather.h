@@ -46,7 +46,7 @@ typedef struct points_request {
 } points_request;
 
 /* Parses a payload: schema_check(), and the counts. core_gather_check_points() checks the values. */
-wire_error points_request_parse(const uint8_t *payload, size_t payload_bytes,
+wire_error points_request_parse(const uint8_t *payload, const schema_layout *layout,
                                 points_request *request);
 
 /* Parses the payload of a reply. Returns false if it has another length. */
@@ -63,7 +63,7 @@ typedef struct gather_request {
 } gather_request;
 
 /* Parses a payload: schema_check(), and the parameters. Core checks the values. */
-wire_error gather_request_parse(const uint8_t *payload, size_t payload_bytes,
+wire_error gather_request_parse(const uint8_t *payload, const schema_layout *layout,
                                 gather_request *request);
 
 /* Layout of a reply's payload: the fixed part, a channel structure for each channel, then the sums,

@@ -4,18 +4,14 @@
 
 #include "proto/schema.h"
 
-wire_error mc_request_parse(const uint8_t *payload, size_t payload_bytes, mc_request *request) {
-  schema_layout layout;
-  const wire_error error = schema_check(&schema_mc_request, payload, payload_bytes, &layout);
-  if (error.status != WIRE_STATUS_OK) {
-    return error;
-  }
+wire_error mc_request_parse(const uint8_t *payload, const schema_layout *layout,
+                            mc_request *request) {
   wire_get_mc_request(payload, &request->fixed);
-  memcpy(request->layers, payload + layout.parts[0].at,
+  memcpy(request->layers, payload + layout->parts[0].at,
          request->fixed.layer_count * sizeof *request->layers);
-  memcpy(request->albedo, payload + layout.parts[1].at,
+  memcpy(request->albedo, payload + layout->parts[1].at,
          request->fixed.albedo_count * sizeof *request->albedo);
-  return schema_parse_parameters(payload + layout.parts[2].at, (uint32_t)layout.parts[2].count,
+  return schema_parse_parameters(payload + layout->parts[2].at, (uint32_t)layout->parts[2].count,
                                  request->fixed.layer_count, &request->parameters);
 }
 

@@ -28,7 +28,8 @@ typedef struct mc_request {
 } mc_request;
 
 /* Parses a payload: schema_check(), and the parameters. The server and core check the values. */
-wire_error mc_request_parse(const uint8_t *payload, size_t payload_bytes, mc_request *request);
+wire_error mc_request_parse(const uint8_t *payload, const schema_layout *layout,
+                            mc_request *request);
 
 /* The parts of the last reply: double[ring_count + 1], mm; mc_energy structures;
  * uint64_t[side_count][ring_count]; double[albedo_count][side_count][2][ring_count]. */

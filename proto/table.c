@@ -27,16 +27,11 @@ size_t table_reply_bytes(const core_parameters *parameters, size_t word_count) {
   return (size_t)schema_bytes(&schema_table_reply, &fixed);
 }
 
-wire_error table_request_parse(const uint8_t *payload, size_t payload_bytes,
+wire_error table_request_parse(const uint8_t *payload, const schema_layout *layout,
                                table_request *request) {
-  schema_layout layout;
-  const wire_error error = schema_check(&schema_table_request, payload, payload_bytes, &layout);
-  if (error.status != WIRE_STATUS_OK) {
-    return error;
-  }
   wire_get_table_request(payload, &request->fixed);
-  request->layers = (const void *)(payload + layout.parts[0].at);
-  return schema_parse_parameters(payload + layout.parts[1].at, request->fixed.parameter_count,
+  request->layers = (const void *)(payload + layout->parts[0].at);
+  return schema_parse_parameters(payload + layout->parts[1].at, request->fixed.parameter_count,
                                  request->fixed.layer_count, &request->parameters);
 }
 

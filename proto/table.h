@@ -24,7 +24,7 @@ static inline bool table_is_surface(const table_request *request) {
 }
 
 /* Parses a payload: schema_check(), and the parameters. Core checks the values. */
-wire_error table_request_parse(const uint8_t *payload, size_t payload_bytes,
+wire_error table_request_parse(const uint8_t *payload, const schema_layout *layout,
                                table_request *request);
 
 /* Returns the payload bytes of a reply with a table of word_count words, to a request with these

@@ -212,26 +212,17 @@ static wire_error cut_reply(struct eval_job *eval, const struct options *options
   return wire_error_none();
 }
 
-static wire_error check_request(struct eval_job *eval, const struct job_request *request) {
-  wire_error error = parse_request(eval, request);
-  if (error.status == WIRE_STATUS_OK && eval->request.fixed.model == EVAL_ANY_MODEL) {
-    error = check_tolerance(eval);
-    if (error.status == WIRE_STATUS_OK) {
-      error = choice_first(&eval->choice, &eval->request, eval->radii);
-    }
-  }
+static bool check_request(struct eval_job *eval, const struct job_request *request) {
+  struct job *job = &eval->job;
   core_radii_range range;
-  if (error.status == WIRE_STATUS_OK) {
-    error = check_media(eval, &range);
-  }
-  if (error.status == WIRE_STATUS_OK &&
-      isnan(eval->choice.tolerance)) { /* A request with a tolerance has been checked. */
-    error = check_radii(eval);
-  }
-  if (error.status == WIRE_STATUS_OK) {
-    error = check_range(eval, &range);
-  }
-  return error;
+  return job_passes(job, parse_request(eval, request)) &&
+         (eval->request.fixed.model != EVAL_ANY_MODEL ||
+          (job_passes(job, check_tolerance(eval)) &&
+           job_passes(job, choice_first(&eval->choice, &eval->request, eval->radii)))) &&
+         job_passes(job, check_media(eval, &range)) &&
+         /* The radii of a request with a tolerance have been checked. */
+         (!isnan(eval->choice.tolerance) || job_passes(job, check_radii(eval))) &&
+         job_passes(job, check_range(eval, &range));
 }
 
 static wire_error check_numbers(const struct eval_job *eval) {
@@ -685,20 +676,15 @@ static double cost_of(const struct eval_job *eval) {
 
 /* ---- the job --------------------------------------------------------------------------------- */
 
-/* Starts the job. error: what the checks have found. */
-static enum job_outcome admit_eval(struct eval_job *eval, wire_error error,
-                                   const struct job_request *request) {
+/* Starts the job, which has been checked. */
+static enum job_outcome admit_eval(struct eval_job *eval, const struct job_request *request) {
   const wire_eval_request *fixed = &eval->request.fixed;
-  if (error.status == WIRE_STATUS_OK) {
-    error = cut_reply(eval, &eval->job.context->server->options);
-  }
-  if (error.status == WIRE_STATUS_OK) {
-    /* The product is exact: at most 2^40 radii (max_radii), 2^25 media and ten arrays. */
-    const double radii = (double)fixed->radius_count * fixed->medium_count;
-    error = job_admit(&eval->job, radii * (double)least_cost(eval), count_field(eval));
-  }
-  if (error.status != WIRE_STATUS_OK) {
-    return job_refuse(&eval->job, error);
+  /* The product is exact: at most 2^40 radii (max_radii), 2^25 media and ten arrays. */
+  const double radii = (double)fixed->radius_count * fixed->medium_count;
+  struct job *job = &eval->job;
+  if (!job_passes(job, cut_reply(eval, &job->context->server->options)) ||
+      !job_passes(job, job_admit(job, radii * (double)least_cost(eval), count_field(eval)))) {
+    return JOB_REFUSED;
   }
   eval->repeated = NULL;
   eval->head = NULL;
@@ -719,25 +705,24 @@ static enum job_outcome start_eval(struct job *job, const struct job_request *re
     job->part_bytes = eval->repeated->reply_bytes;
     return JOB_NEXT_PART;
   }
-  const wire_error error = check_request(eval, request);
-  if (error.status == WIRE_STATUS_OK) {
-    job->latency = eval->request.fixed.radius_count <= BATCH_SHORT_RADII ? LATENCY_EVAL_SHORT
-                                                                         : LATENCY_EVAL_LONG;
+  if (!check_request(eval, request)) {
+    return JOB_REFUSED;
   }
-  return admit_eval(eval, error, request);
+  job->latency = eval->request.fixed.radius_count <= BATCH_SHORT_RADII ? LATENCY_EVAL_SHORT
+                                                                       : LATENCY_EVAL_LONG;
+  return admit_eval(eval, request);
 }
 
 static enum job_outcome start_sample(struct job *job, const struct job_request *request) {
   struct eval_job *eval = eval_of(job);
-  wire_error error = sample_request_parse(request->payload, request->header->payload_bytes,
-                                          &eval->draw, &eval->request);
+  if (!job_passes(job, sample_request_parse(request->payload, request->header->payload_bytes,
+                                            &eval->draw, &eval->request))) {
+    return JOB_REFUSED;
+  }
   eval->drawn = true;
   eval->value_bytes = core_evaluator_bytes(eval->request.fixed.evaluator);
   eval->choice = (struct choice_state){.tolerance = (double)NAN};
-  if (error.status == WIRE_STATUS_OK) {
-    error = check_sample(eval);
-  }
-  return admit_eval(eval, error, request);
+  return job_passes(job, check_sample(eval)) ? admit_eval(eval, request) : JOB_REFUSED;
 }
 
 static enum job_outcome begin_eval_part(struct job *job, uint8_t *payload) {

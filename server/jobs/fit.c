@@ -72,8 +72,7 @@ static const core_fit *found_fit(const struct fit_job *fit) {
 /* ---- starting -------------------------------------------------------------------------------- */
 
 static wire_error check_fit(struct fit_job *fit, const struct job_request *from) {
-  const wire_error error =
-      fit_request_parse(from->payload, from->header->payload_bytes, &fit->request);
+  const wire_error error = fit_request_parse(from->payload, &from->layout, &fit->request);
   if (error.status != WIRE_STATUS_OK) {
     return error;
   }
@@ -100,12 +99,9 @@ static double radii_of(const struct fit_job *fit) {
 
 static enum job_outcome start_fit(struct job *job, const struct job_request *request) {
   struct fit_job *fit = fit_of(job);
-  wire_error error = check_fit(fit, request);
-  if (error.status == WIRE_STATUS_OK) {
-    error = job_admit(job, radii_of(fit), "set_count");
-  }
-  if (error.status != WIRE_STATUS_OK) {
-    return job_refuse(job, error);
+  if (!job_passes(job, check_fit(fit, request)) ||
+      !job_passes(job, job_admit(job, radii_of(fit), "set_count"))) {
+    return JOB_REFUSED;
   }
   fit->notes = 0;
   fit->refining = NULL;
@@ -280,5 +276,8 @@ static void end_fit(struct job *job) {
   }
 }
 
-const struct job_kind job_kind_FIT = {
-    .start = start_fit, .begin_part = begin_fit_part, .step = step_fit, .end = end_fit};
+const struct job_kind job_kind_FIT = {.request = &schema_fit_request,
+                                      .start = start_fit,
+                                      .begin_part = begin_fit_part,
+                                      .step = step_fit,
+                                      .end = end_fit};

@@ -281,6 +281,17 @@ static void release(struct tissue_fit *of) {
   free(of->places);
 }
 
+static wire_error admit_sets(struct tissue_fit *of) {
+  const double radii = EVALUATIONS * (double)of->evaluation_radii * (double)of->fixed.set_count;
+  const wire_fit_tissue_reply start = reply_of(of);
+  return job_parts_fit(&of->parts, &of->job, &schema_fit_tissue_reply, &start, 1,
+                       of->fixed.set_count)
+             ? job_admit(&of->job, radii <= SMALL_RADII ? fmin(radii, JOB_SLICE_RADII) : radii,
+                         "set_count")
+             : wire_error_make(WIRE_STATUS_TOO_LARGE, "residuals",
+                               "0: with them a set exceeds max_part_bytes");
+}
+
 static enum job_outcome start_tissue_fit(struct job *job, const struct job_request *from) {
   struct tissue_fit *of = tissue_fit_of(job);
   of->places = NULL;
@@ -288,22 +299,10 @@ static enum job_outcome start_tissue_fit(struct job *job, const struct job_reque
   of->searches = false;
   of->term_count = 0;
   of->fitted = 0;
-  wire_error error = check_request(of, from);
-  if (error.status == WIRE_STATUS_OK) {
-    const double radii = EVALUATIONS * (double)of->evaluation_radii * (double)of->fixed.set_count;
-    error =
-        job_admit(job, radii <= SMALL_RADII ? fmin(radii, JOB_SLICE_RADII) : radii, "set_count");
-  }
   of->parts.count = 0;
-  const wire_fit_tissue_reply start = reply_of(of);
-  if (error.status == WIRE_STATUS_OK &&
-      !job_parts_fit(&of->parts, job, &schema_fit_tissue_reply, &start, 1, of->fixed.set_count)) {
-    error = wire_error_make(WIRE_STATUS_TOO_LARGE, "residuals",
-                            "0: with them a set exceeds max_part_bytes");
-  }
-  if (error.status != WIRE_STATUS_OK) {
+  if (!job_passes(job, check_request(of, from)) || !job_passes(job, admit_sets(of))) {
     release(of);
-    return job_refuse(job, error);
+    return JOB_REFUSED;
   }
   job_init_other(job, &of->lookup, from);
   return JOB_NEXT_PART;

@@ -92,15 +92,11 @@ static wire_error check_media(const struct gather_job *gather) {
 
 static enum job_outcome start_gather(struct job *job, const struct job_request *from) {
   struct gather_job *gather = gather_of(job);
-  wire_error error =
-      gather_request_parse(from->payload, from->header->payload_bytes, &gather->request);
-  if (error.status == WIRE_STATUS_OK) {
-    error = check_media(gather);
-    gather->request.parameters.value[CORE_PARAMETER_MHZ] = (double)NAN; /* it sums R alone */
+  if (!job_passes(job, gather_request_parse(from->payload, &from->layout, &gather->request)) ||
+      !job_passes(job, check_media(gather))) {
+    return JOB_REFUSED;
   }
-  if (error.status != WIRE_STATUS_OK) {
-    return job_refuse(job, error);
-  }
+  gather->request.parameters.value[CORE_PARAMETER_MHZ] = (double)NAN; /* it sums R alone */
   if (!budget_take(job->context->buffers, sizeof *gather->work)) {
     return job_refuse(job, job_busy());
   }
@@ -274,12 +270,9 @@ static void begin_sums(struct gather_job *gather) {
 
 /* Begins the first part. The cost of the job is known. */
 static enum job_outcome begin_first(struct gather_job *gather) {
-  wire_error error = admit_queries(gather);
-  if (error.status == WIRE_STATUS_OK) {
-    error = cut_reply(gather);
-  }
-  if (error.status != WIRE_STATUS_OK) {
-    return job_refuse(&gather->job, error);
+  if (!job_passes(&gather->job, admit_queries(gather)) ||
+      !job_passes(&gather->job, cut_reply(gather))) {
+    return JOB_REFUSED;
   }
   begin_sums(gather);
   return JOB_GOES_ON;
@@ -421,7 +414,8 @@ static void end_gather(struct job *job) {
   budget_return(job->context->buffers, gather->bytes);
 }
 
-const struct job_kind job_kind_GATHER = {.detached = true,
+const struct job_kind job_kind_GATHER = {.request = &schema_gather_request,
+                                         .detached = true,
                                          .start = start_gather,
                                          .begin_part = put_gather,
                                          .step = step_gather,

@@ -81,26 +81,24 @@ static uint64_t medium_radii(const struct invert_job *invert) {
 static enum job_outcome start_invert(struct job *job, const struct job_request *request) {
   struct invert_job *invert = invert_of(job);
   const wire_invert_request *fixed = &invert->fixed;
-  wire_error error = check_invert(invert, request);
-  if (error.status == WIRE_STATUS_OK) {
-    const core_medium medium = {1, 1 / (1 - fixed->g), fixed->g, fixed->eta};
-    const core_parameters none = core_parameters_none();
-    const bool solved = invert->inverter.light != CORE_LIGHT_BEAM ||
-                        core_prepares_slowly(fixed->model, CORE_EVALUATOR_F64, &medium, &none);
-    const bool costly = core_worth_keeping(fixed->model, CORE_EVALUATOR_F64, NULL);
-    invert->probe_radii = invert->slow ? SLOW_PROBE_RADII
-                          : solved     ? SOLVED_PROBE_RADII
-                          : costly     ? COSTLY_PROBE_RADII
-                                       : PROBE_RADII;
-    const double radii = (double)fixed->medium_count * (double)medium_radii(invert);
-    error = job_admit(job, radii, "medium_count");
+  if (!job_passes(job, check_invert(invert, request))) {
+    return JOB_REFUSED;
   }
-  if (error.status != WIRE_STATUS_OK) {
-    return job_refuse(job, error);
+  const core_medium medium = {1, 1 / (1 - fixed->g), fixed->g, fixed->eta};
+  const core_parameters none = core_parameters_none();
+  const bool solved = invert->inverter.light != CORE_LIGHT_BEAM ||
+                      core_prepares_slowly(fixed->model, CORE_EVALUATOR_F64, &medium, &none);
+  const bool costly = core_worth_keeping(fixed->model, CORE_EVALUATOR_F64, NULL);
+  invert->probe_radii = invert->slow ? SLOW_PROBE_RADII
+                        : solved     ? SOLVED_PROBE_RADII
+                        : costly     ? COSTLY_PROBE_RADII
+                                     : PROBE_RADII;
+  const double radii = (double)fixed->medium_count * (double)medium_radii(invert);
+  if (!job_passes(job, job_admit(job, radii, "medium_count"))) {
+    return JOB_REFUSED;
   }
   invert->reach_known = false;
   invert->seeking = false;
-  const core_parameters none = core_parameters_none();
   job_init_lookup(job, &invert->lookup, request);
   profiles_start(&invert->lookup, fixed->model, fixed->moments, CORE_EVALUATOR_F64, &none);
   const wire_invert_reply start = {.count = 0};

@@ -31,11 +31,11 @@ enum job_outcome job_start(struct job_slot *slot, struct job_request *request) {
   job->large = false;
   job->lookup = NULL;
   job->reader_idle = true;
-  const wire_error error = job->kind->request == NULL
-                               ? wire_error_none()
-                               : schema_check(job->kind->request, request->payload,
-                                              request->header->payload_bytes, &request->layout);
-  return error.status == WIRE_STATUS_OK ? job->kind->start(job, request) : job_refuse(job, error);
+  return job->kind->request == NULL ||
+                 job_passes(job, schema_check(job->kind->request, request->payload,
+                                              request->header->payload_bytes, &request->layout))
+             ? job->kind->start(job, request)
+             : JOB_REFUSED;
 }
 
 void job_end(struct job *job) {
@@ -139,8 +139,15 @@ enum job_outcome job_refuse(struct job *job, wire_error refusal) {
   return JOB_REFUSED;
 }
 
+bool job_passes(struct job *job, wire_error error) {
+  if (error.status != WIRE_STATUS_OK) {
+    job->refusal = error;
+  }
+  return error.status == WIRE_STATUS_OK;
+}
+
 enum job_outcome job_check(struct job *job, wire_error error) {
-  return error.status == WIRE_STATUS_OK ? JOB_GOES_ON : job_refuse(job, error);
+  return job_passes(job, error) ? JOB_GOES_ON : JOB_REFUSED;
 }
 
 enum job_outcome job_follow(struct job *job, enum lookup_state state, const core_fault *fault,

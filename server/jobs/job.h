@@ -231,6 +231,9 @@ void job_resume(struct job *job);
 /* Sets the refusal and returns JOB_REFUSED. */
 enum job_outcome job_refuse(struct job *job, wire_error refusal);
 
+/* Returns whether there is no error; else sets the refusal, for the caller to return JOB_REFUSED. */
+bool job_passes(struct job *job, wire_error error);
+
 /* Returns JOB_GOES_ON if there is no error; else refuses the job with it. */
 enum job_outcome job_check(struct job *job, wire_error error);
 

@@ -131,10 +131,10 @@ static void set_request(struct mc_task *task, const mc_request *wire) {
 /* Checks a request. If it is valid, sets all members of the task except those that open_task()
  * allocates. */
 static wire_error check_task(struct mc_task *task, const struct server *server,
-                             const uint8_t *payload, size_t payload_bytes) {
+                             const struct job_request *from) {
   mc_request wire = {0};
   *task = (struct mc_task){0};
-  const wire_error error = mc_request_parse(payload, payload_bytes, &wire);
+  const wire_error error = mc_request_parse(from->payload, &from->layout, &wire);
   if (error.status != WIRE_STATUS_OK) {
     return error;
   }
@@ -703,10 +703,8 @@ static enum job_outcome start_mc(struct job *job, const struct job_request *requ
   struct mc *mc = mc_of(job);
   struct mc_pool *pool = job->context->server->mc;
   struct mc_task task;
-  const wire_error error =
-      check_task(&task, pool->server, request->payload, request->header->payload_bytes);
-  if (error.status != WIRE_STATUS_OK) {
-    return job_refuse(job, error);
+  if (!job_passes(job, check_task(&task, pool->server, request))) {
+    return JOB_REFUSED;
   }
   if (!count_job(pool)) {
     return job_refuse(
@@ -777,7 +775,8 @@ static void end_mc(struct job *job) {
   uv_close((uv_handle_t *)&walk->wake, on_closed);
 }
 
-const struct job_kind job_kind_MC = {.detached = true,
+const struct job_kind job_kind_MC = {.request = &schema_mc_request,
+                                     .detached = true,
                                      .start = start_mc,
                                      .begin_part = begin_part,
                                      .step = step_mc,

@@ -60,9 +60,8 @@ static wire_error check_hello(const struct job_request *from) {
 }
 
 static enum job_outcome start_hello(struct job *job, const struct job_request *request) {
-  const wire_error error = check_hello(request);
-  if (error.status != WIRE_STATUS_OK) {
-    return job_refuse(job, error);
+  if (!job_passes(job, check_hello(request))) {
+    return JOB_REFUSED;
   }
   const wire_hello_reply reply = describe_daemon(job->context->server);
   return reply_with(job, WIRE_BYTES_hello_reply + reply.choice_count * (size_t)WIRE_BYTES_choice +

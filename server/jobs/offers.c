@@ -109,9 +109,8 @@ static enum job_outcome step_offers(struct job *job, uint64_t *budget) {
 
 static enum job_outcome start_offers(struct job *job, const struct job_request *request) {
   struct offers_job *offers = offers_of(job);
-  const wire_error error = eval_job_offers(&offers->eval, request);
-  if (error.status != WIRE_STATUS_OK) {
-    return job_refuse(job, error);
+  if (!job_passes(job, eval_job_offers(&offers->eval, request))) {
+    return JOB_REFUSED;
   }
   offers->eval.repeated = NULL;
   offers->eval.head = NULL;

@@ -274,16 +274,15 @@ static enum job_outcome start_points(struct job *job, const struct job_request *
   const wire_points_request *fixed = &points->request.fixed;
   const uint64_t most = job->context->server->options.max_points;
   assert(from->points != NULL);
-  wire_error error =
-      points_request_parse(from->payload, from->header->payload_bytes, &points->request);
-  if (error.status == WIRE_STATUS_OK && fixed->point_count > most) {
-    error = job_too_large("point_count", most, "points");
+  if (!job_passes(job, points_request_parse(from->payload, &from->layout, &points->request))) {
+    return JOB_REFUSED;
   }
-  if (error.status == WIRE_STATUS_OK) {
-    error = job_admit(job, (double)fixed->part_points * (double)row_radii(points), "part_points");
+  if (fixed->point_count > most) {
+    return job_refuse(job, job_too_large("point_count", most, "points"));
   }
-  if (error.status != WIRE_STATUS_OK) {
-    return job_refuse(job, error);
+  const double radii = (double)fixed->part_points * (double)row_radii(points);
+  if (!job_passes(job, job_admit(job, radii, "part_points"))) {
+    return JOB_REFUSED;
   }
   points->sent = from->points;
   points->points = NULL;
@@ -420,5 +419,8 @@ static void end_points(struct job *job) {
   points_release(points->points);
 }
 
-const struct job_kind job_kind_POINTS = {
-    .start = start_points, .begin_part = put_points_reply, .step = step_points, .end = end_points};
+const struct job_kind job_kind_POINTS = {.request = &schema_points_request,
+                                         .start = start_points,
+                                         .begin_part = put_points_reply,
+                                         .step = step_points,
+                                         .end = end_points};

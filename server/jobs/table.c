@@ -28,15 +28,13 @@ static core_fault check_table(const table_request *request, unsigned evaluator) 
 static enum job_outcome start_table(struct job *job, const struct job_request *from) {
   struct table *table = table_of(job);
   table_request *request = &table->request;
-  const wire_error error = table_request_parse(from->payload, from->header->payload_bytes, request);
-  if (error.status != WIRE_STATUS_OK) {
-    return job_refuse(job, error);
+  if (!job_passes(job, table_request_parse(from->payload, &from->layout, request))) {
+    return JOB_REFUSED;
   }
   const wire_table_request *fixed = &request->fixed;
   const unsigned evaluator = table_is_surface(request) ? CORE_EVALUATOR_F32 : CORE_EVALUATOR_LUT;
-  const core_fault fault = check_table(request, evaluator);
-  if (fault.field != NULL) {
-    return job_refuse(job, job_error(fault));
+  if (!job_passes(job, job_error(check_table(request, evaluator)))) {
+    return JOB_REFUSED;
   }
   request->parameters.value[CORE_PARAMETER_MHZ] = (double)NAN; /* it is of R alone */
   job_init_other(&table->job, &table->surface, from);
@@ -101,5 +99,8 @@ static void end_table(struct job *job) {
   profiles_return(&table_of(job)->ruler);
 }
 
-const struct job_kind job_kind_TABLE = {
-    .start = start_table, .begin_part = put_table, .step = step_table, .end = end_table};
+const struct job_kind job_kind_TABLE = {.request = &schema_table_request,
+                                        .start = start_table,
+                                        .begin_part = put_table,
+                                        .step = step_table,
+                                        .end = end_table};

@@ -46,13 +46,11 @@ static enum job_outcome start_tissue(struct job *job, const struct job_request *
   wire_get_tissue_request(from->payload, &fixed);
   of->wavelengths = (const void *)(from->payload + from->layout.parts[1].at);
   of->count = fixed.wavelength_count;
-  wire_error error = tissue_read(&of->tissue, fixed.tissue, fixed.haemoglobin,
-                                 from->payload + from->layout.parts[0].at, fixed.property_count);
-  if (error.status == WIRE_STATUS_OK) {
-    error = job_error(check_wavelengths(of));
-  }
-  if (error.status != WIRE_STATUS_OK) {
-    return job_refuse(job, error);
+  const uint8_t *properties = from->payload + from->layout.parts[0].at;
+  if (!job_passes(job, tissue_read(&of->tissue, fixed.tissue, fixed.haemoglobin, properties,
+                                   fixed.property_count)) ||
+      !job_passes(job, job_error(check_wavelengths(of)))) {
+    return JOB_REFUSED;
   }
   job->part_bytes = WIRE_BYTES_tissue_reply + (uint64_t)of->count * WIRE_BYTES_medium;
   return job->part_bytes > job->context->server->options.max_frame_bytes

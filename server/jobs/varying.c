@@ -45,29 +45,26 @@ static enum job_outcome start_varying(struct job *job, const struct job_request 
   struct varying_job *varying = varying_of(job);
   varying_request *request = &varying->request;
   const wire_varying_request *fixed = &request->fixed;
-  wire_error error = varying_request_parse(from->payload, from->header->payload_bytes, request);
-  if (error.status == WIRE_STATUS_OK) {
-    error = check_model(request);
+  if (!job_passes(job,
+                  varying_request_parse(from->payload, from->header->payload_bytes, request)) ||
+      !job_passes(job, check_model(request))) {
+    return JOB_REFUSED;
   }
   const wire_varying_reply start = {
       .evaluator = fixed->evaluator, .wanted = fixed->wanted, .coefficients = fixed->coefficients};
-  if (error.status == WIRE_STATUS_OK &&
-      !job_parts_fit(&varying->parts, job, &schema_varying_reply, &start, VARYING_PART_VALUES,
+  if (!job_parts_fit(&varying->parts, job, &schema_varying_reply, &start, VARYING_PART_VALUES,
                      fixed->value_count)) {
-    error = wire_error_make(WIRE_STATUS_TOO_LARGE, "wanted",
-                            "fewer quantities, or values: they do not fit into a part "
-                            "(max_part_bytes)");
+    return job_refuse(job, wire_error_make(WIRE_STATUS_TOO_LARGE, "wanted",
+                                           "fewer quantities, or values: they do not fit into a "
+                                           "part (max_part_bytes)"));
   }
-  if (error.status == WIRE_STATUS_OK) {
-    varying->compares = (fixed->wanted & CORE_QUANTITY_MODEL_ERROR) != 0 &&
-                        core_ruler_is_needed(fixed->model, &request->parameters,
-                                             &(core_medium){1, 1, fixed->g, fixed->eta}, false);
-    varying->value_radii = value_cost(fixed) * (varying->compares ? 2 : 1);
-    error =
-        job_admit(job, (double)fixed->value_count * (double)varying->value_radii, "value_count");
-  }
-  if (error.status != WIRE_STATUS_OK) {
-    return job_refuse(job, error);
+  varying->compares = (fixed->wanted & CORE_QUANTITY_MODEL_ERROR) != 0 &&
+                      core_ruler_is_needed(fixed->model, &request->parameters,
+                                           &(core_medium){1, 1, fixed->g, fixed->eta}, false);
+  varying->value_radii = value_cost(fixed) * (varying->compares ? 2 : 1);
+  const double radii = (double)fixed->value_count * (double)varying->value_radii;
+  if (!job_passes(job, job_admit(job, radii, "value_count"))) {
+    return JOB_REFUSED;
   }
   job_init_other(job, &varying->ruler, from);
   job_init_other(job, &varying->lookup, from);

@@ -290,11 +290,11 @@ static void answer_requests(int fd, void *context) {
   peer_frame request;
   bool good = peer_say_hello(fd);
   while (good && peer_receive(fd, &request)) {
-    table_request parsed;
+    schema_layout layout;
     const bool ping = request.header.type == WIRE_TYPE_PING;
     if (!ping &&
-        table_request_parse(request.payload, request.header.payload_bytes, &parsed).status !=
-            WIRE_STATUS_OK) {
+        schema_check(&schema_table_request, request.payload, request.header.payload_bytes, &layout)
+                .status != WIRE_STATUS_OK) {
       abort(); /* The library makes only well-formed requests. */
     }
     good = peer_send(fd, (uint16_t)(request.header.type | WIRE_REPLY), request.header.request_id,
