@@ -224,6 +224,7 @@ def schema_text() -> str:
         "MESSAGES": {name: type for name, (type, *_) in MESSAGES.items()},
         "KINDS": {kind: name for kind, name, _ in LISTS["lists"]},
         "STATUSES": {code: name for code, *_, name in STATUSES},
+        "QUANTITIES": {name: bit for bit, _, name, *_ in QUANTITIES},
     }
     return "\n".join([
         '"""The messages, structures and lists of dipoled\'s protocol. `make docs` makes this file '

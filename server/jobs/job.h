@@ -12,8 +12,8 @@
  * For example, an eval: start -> NEXT_PART, begin_part -> GOES_ON, step -> WAITS (its profile is
  * being prepared), step -> GOES_ON, step -> DONE, end.
  *
- * A new kind of job takes a line in proto/messages.def, its layout in proto/, and a file in
- * server/jobs/ that defines its structure (JOB_STRUCTURE) and its job_kind_<IDENT>.
+ * A new kind of job takes its message in proto/messages.def, and a file in server/jobs/ that defines
+ * its structure (JOB_STRUCTURE) and its job_kind_<IDENT>.
  */
 #ifndef DIPOLED_JOB_H
 #define DIPOLED_JOB_H

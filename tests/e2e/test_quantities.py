@@ -90,7 +90,7 @@ def sums_for_quantities(type: int, payload: bytes) -> list[bytes]:
 
     def change(choice):
         is_pdf = wire.KINDS[choice.kind] == "quantity" and choice.name == "pdf"
-        return choice._replace(id=wire.QUANTITY_R | wire.QUANTITY_CDF) if is_pdf else choice
+        return choice._replace(id=wire.QUANTITIES["R"] | wire.QUANTITIES["cdf"]) if is_pdf else choice
 
     return changed_choices(type, payload, change)
 

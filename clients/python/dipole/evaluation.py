@@ -65,7 +65,7 @@ def _model_id(info: Info, query: Query) -> int:
 
 def _bits(info: Info, wanted: tuple[str, ...], model_error: bool) -> int:
     bits = {id_of(info, "quantity", name) for name in wanted}
-    return sum(bits | {wire.QUANTITY_MODEL_ERROR} if model_error else bits)
+    return sum(bits | {wire.QUANTITIES["model_error"]} if model_error else bits)
 
 
 def _check_model(query: Query) -> None:
@@ -297,13 +297,13 @@ def _common_fields(joined: Joined, shape: Shape, info: Info) -> dict[str, Any]:
     wanted = [q for q in (wire.DRAWN if shape.drawn else wire.ELEMENTWISE) if fixed.wanted & q]
     arrays = {quantity: values[i :: len(wanted)] for i, quantity in enumerate(wanted)}
     if shape.radii is not None:
-        arrays[wire.QUANTITY_RADIUS] = shape.radii[fixed.first :][: sum(one.count for one in joined.replies)]
-    elif fixed.wanted & wire.QUANTITY_RADIUS and not shape.drawn:
-        arrays[wire.QUANTITY_RADIUS] = joined.arrays["r"]
-    if fixed.wanted & wire.QUANTITY_ALBEDO:
-        arrays[wire.QUANTITY_ALBEDO] = joined.heads[0]["albedo"]
-    if fixed.wanted & wire.QUANTITY_BALANCE:
-        arrays[wire.QUANTITY_BALANCE] = joined.heads[0]["balance"]
+        arrays[wire.QUANTITIES["r"]] = shape.radii[fixed.first :][: sum(one.count for one in joined.replies)]
+    elif fixed.wanted & wire.QUANTITIES["r"] and not shape.drawn:
+        arrays[wire.QUANTITIES["r"]] = joined.arrays["r"]
+    if fixed.wanted & wire.QUANTITIES["albedo"]:
+        arrays[wire.QUANTITIES["albedo"]] = joined.heads[0]["albedo"]
+    if fixed.wanted & wire.QUANTITIES["balance"]:
+        arrays[wire.QUANTITIES["balance"]] = joined.heads[0]["balance"]
     errors = joined.heads[0]["errors"].view("<f8").reshape(shape.medium_count, -1, 3)
     quantities = sorted(info.choices["quantity"].values())
     return {

@@ -14,6 +14,12 @@ STATUSES = {0: "ok", 1: "bad-magic", 2: "bad-version", 3: "bad-type", 4: "bad-le
     11: "shutting-down", 12: "deadline", 13: "bad-address", 14: "not-allowed",
     15: "unknown-points", 16: "cancelled"}
 
+QUANTITIES = {"R": 1, "albedo": 2, "cdf": 4, "r": 8, "dR_dr": 16, "ln_R": 32, "pdf": 64,
+    "2_pi_r_R": 128, "S": 256, "R_f": 512, "dlnR_dln_sigma_a": 1024, "dlnR_dln_sigma_s": 2048,
+    "model_error": 4096, "model_errors": 8192, "T": 16384, "path": 32768, "dpf": 65536,
+    "time": 131072, "phase": 262144, "modulation": 524288, "balance": 1048576, "phase_f": 2097152,
+    "modulation_f": 4194304}
+
 # quantities with a value for each radius and channel, in the order of a reply's arrays
 ELEMENTWISE = (1, 4, 16, 32, 64, 128, 256, 512, 1024, 2048, 8192, 16384, 32768, 65536, 131072, 262144, 524288, 2097152, 4194304)
 

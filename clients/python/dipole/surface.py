@@ -116,29 +116,29 @@ class Surface(Fetched):
         """Returns R in 1/mm^2 at radii r (mm), from 0 to infinity, of media with sigma_a and
         sigma_s (1/mm). The arrays have any shapes that can be broadcast with each other. A value
         that cannot be computed is NaN."""
-        return self._values(wire.QUANTITY_R, sigma_a=sigma_a, sigma_s=sigma_s, r=r)
+        return self._values(wire.QUANTITIES["R"], sigma_a=sigma_a, sigma_s=sigma_s, r=r)
 
     def ring(self, sigma_a: Any, sigma_s: Any, r: Any) -> Array:
         """Returns 2 pi r R in 1/mm; arguments as of R()."""
-        return self._values(wire.QUANTITY_RING, sigma_a=sigma_a, sigma_s=sigma_s, r=r)
+        return self._values(wire.QUANTITIES["2_pi_r_R"], sigma_a=sigma_a, sigma_s=sigma_s, r=r)
 
     def pdf(self, sigma_a: Any, sigma_s: Any, r: Any) -> Array:
         """Returns the probability density of radii in 1/mm; arguments as of R()."""
-        return self._values(wire.QUANTITY_PDF, sigma_a=sigma_a, sigma_s=sigma_s, r=r)
+        return self._values(wire.QUANTITIES["pdf"], sigma_a=sigma_a, sigma_s=sigma_s, r=r)
 
     def cdf(self, sigma_a: Any, sigma_s: Any, r: Any) -> Array:
         """Returns the power that leaves within r over all that leaves; arguments as of R()."""
-        return self._values(wire.QUANTITY_CDF, sigma_a=sigma_a, sigma_s=sigma_s, r=r)
+        return self._values(wire.QUANTITIES["cdf"], sigma_a=sigma_a, sigma_s=sigma_s, r=r)
 
     def radius(self, sigma_a: Any, sigma_s: Any, u: Any) -> Array:
         """Returns the radii in mm with cdf u, from 0 to 1; 1 gives infinity."""
-        return self._values(wire.QUANTITY_RADIUS, sigma_a=sigma_a, sigma_s=sigma_s, u=u)
+        return self._values(wire.QUANTITIES["r"], sigma_a=sigma_a, sigma_s=sigma_s, u=u)
 
     def is_within_error(self, sigma_a: Any, sigma_s: Any, r: Any) -> Array:
         """Returns whether an error is stated for each value: that it was computed, and is not so
         far from the source that a daemon gives it the status "far"."""
         arrays = {"sigma_a": sigma_a, "sigma_s": sigma_s, "r": r}
-        statuses = self._evaluate(arrays, wanted=wire.QUANTITY_R)[1]
+        statuses = self._evaluate(arrays, wanted=wire.QUANTITIES["R"])[1]
         return np.asarray(statuses == wire.VALUE_OK)
 
     def media(

@@ -15,14 +15,7 @@ from .errors import ArgumentError, TableError
 from .library import Fetched, address, bytes_of, frame_bytes, library, succeeds
 from .values import Array, Info, Medium, in_short, span
 
-_QUANTITIES = {
-    "R": wire.QUANTITY_R,
-    "albedo": wire.QUANTITY_ALBEDO,
-    "cdf": wire.QUANTITY_CDF,
-    "pdf": wire.QUANTITY_PDF,
-    "2_pi_r_R": wire.QUANTITY_RING,
-    "S": wire.QUANTITY_S,
-}
+_QUANTITIES = {name: wire.QUANTITIES[name] for name in ("R", "albedo", "cdf", "pdf", "2_pi_r_R", "S")}
 
 
 class _Errors(ctypes.Structure):

@@ -100,14 +100,14 @@ async def varying(
     usual = _WANTED[numbers]
     wanted_bits = _bits(info, "quantity", usual if wanted is None else wanted)
     # model_error has no array, and is always requested
-    wanted_bits.pop(wire.QUANTITY_MODEL_ERROR, None)
+    wanted_bits.pop(wire.QUANTITIES["model_error"], None)
     if coefficients is None:
         coefficients = ("sigma_a", "sigma_s") if coloured and numbers == wire.VARYING_NONE else ()
     coefficient_bits = _bits(info, "coefficient", coefficients)
     same = {
         **ids_of(info, model=model, moments=moments),
         "evaluator": evaluator_id,
-        "wanted": sum({*wanted_bits, wire.QUANTITY_MODEL_ERROR}),
+        "wanted": sum({*wanted_bits, wire.QUANTITIES["model_error"]}),
         "coefficients": sum(coefficient_bits),
     }
     fixed: dict[str, Any] = {

@@ -20,6 +20,7 @@ from .errors import ArgumentError, ProtocolError
 from .schema import ELEMENTWISE as ELEMENTWISE
 from .schema import KINDS as KINDS
 from .schema import MESSAGES as MESSAGES
+from .schema import QUANTITIES as QUANTITIES
 from .schema import STATUSES as STATUSES
 
 MAGIC = 0x4C504944
@@ -39,17 +40,8 @@ STATUS_DEADLINE = 12
 # Permanent ids that the layout of a payload depends on.
 EVALUATOR_TYPES = {1: "<f8", 2: "<f4", 3: "<f4"}  # numpy's type of the values of each evaluator
 EVALUATORS = {"f64": 1, "f32": 2}
-QUANTITY_R = 1
-QUANTITY_ALBEDO = 2
-QUANTITY_CDF = 4
-QUANTITY_RADIUS = 8
-QUANTITY_PDF = 64
-QUANTITY_RING = 128
-QUANTITY_S = 256
-QUANTITY_MODEL_ERROR = 4096
-QUANTITY_BALANCE = 1048576
 # Quantities that a sample has for each radius and channel: the radii are among them.
-DRAWN = tuple(sorted((*ELEMENTWISE, QUANTITY_RADIUS)))
+DRAWN = tuple(sorted((*ELEMENTWISE, QUANTITIES["r"])))
 SPACING_LIST = 1
 DRAW_LIST = 1
 DRAW_STRATIFIED = 3
