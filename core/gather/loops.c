@@ -346,11 +346,7 @@ static void add_close_pairs(size_t count, const double *restrict power, size_t q
 #ifdef __AVX2__
 /* CLOSE radii fill a register. pick() returns words[i] for each index i, from 0 to CLOSE - 1, and
  * pick_of_two() the same for indices up to 2 CLOSE - 1. */
-#ifdef __AVX512F__
-enum { CLOSE = 16 };
-#else
-enum { CLOSE = 8 };
-#endif
+enum { CLOSE = 2 * WIDE };
 typedef float reals __attribute__((vector_size(4 * CLOSE), may_alias));
 typedef int32_t ints __attribute__((vector_size(4 * CLOSE), may_alias));
 typedef uint32_t naturals __attribute__((vector_size(4 * CLOSE), may_alias));

@@ -105,17 +105,15 @@ typedef struct lane_uniform {
   float w;
 } lane_uniform;
 
-static inline lane_uniform lane_uniform_from(uint32_t bits) {
-  const int32_t i = (int32_t)(bits >> 1);
-  const int32_t complement = INT32_MAX - i;
-  return (lane_uniform){((float)i + 0.5f) * 0x1p-31f, ((float)complement + 0.5f) * 0x1p-31f};
-}
-
 /* Returns the uniform number that is point i of `count` equally likely points; inverse: 1 /
  * count. */
 static inline lane_uniform lane_uniform_within(uint32_t i, uint32_t count, float inverse) {
   const int32_t complement = (int32_t)(count - 1 - i);
   return (lane_uniform){((float)(int32_t)i + 0.5f) * inverse, ((float)complement + 0.5f) * inverse};
+}
+
+static inline lane_uniform lane_uniform_from(uint32_t bits) {
+  return lane_uniform_within(bits >> 1, UINT32_C(1) << 31, 0x1p-31f);
 }
 
 /* ---- functions ------------------------------------------------------------------------------- */

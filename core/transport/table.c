@@ -514,15 +514,14 @@ static void add_row(const double *row, size_t count, double of_albedo, double *t
   }
 }
 
-/* Sets term[] to the Chebyshev coefficients of series n, or term[0] to the logarithm of a total over
- * the albedo. */
+/* Adds the Chebyshev coefficients of series n to term[], or the logarithm of a total over the albedo to
+ * term[0]. */
 static void sum_series(const struct part *part, size_t n, double albedo, size_t terms,
                        double *term) {
   double polynomial[TERMS_MAX], own[TERMS_MAX];
   const double at = part->of_difference ? transport_table_u(albedo) : transport_table_t(albedo);
   core_chebyshev_polynomials(part->series[n].of_albedo, mapped(at, part->ends[0], part->ends[1]),
                              polynomial);
-  memset(term, 0, terms * sizeof *term);
   for (size_t i = 0; i < part->series[n].of_albedo; i++) {
     if (part->rows == NULL) {
       sum_row(part, n, i, own);
@@ -532,7 +531,7 @@ static void sum_series(const struct part *part, size_t n, double albedo, size_t 
 }
 
 static double sum_total(const struct part *part, size_t n, double albedo) {
-  double logarithm;
+  double logarithm = 0;
   sum_series(part, n, albedo, 1, &logarithm);
   return albedo * fn_exp(logarithm);
 }
