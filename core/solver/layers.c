@@ -41,19 +41,19 @@ static const struct level levels[LEVELS] = {
      {1.2e-3, 3e-4},
      0.7,
      8,
-     {{0.3, {4, 8, 3}}, {1, {6, 10, 3}}, {3, {6, 10, 4}}, {5, {8, 12, 4}}}},
+     {{0.3, {4, 8, 3}}, {1, {6, 10, 3}}, {3, {8, 12, 4}}, {5, {8, 14, 5}}}},
     {1e-4,
      48,
      {8e-4, 1.6e-4},
      0.7,
-     9,
+     8,
      {{0.3, {4, 10, 3}}, {1, {6, 12, 4}}, {3, {8, 14, 4}}, {6.5, {8, 16, 5}}}},
     {1e-5,
      64,
      {4e-4, 8e-5},
      0.7,
      9,
-     {{0.3, {5, 10, 4}}, {1, {7, 12, 4}}, {3, {8, 16, 5}}, {7.5, {10, 20, 6}}}},
+     {{0.3, {5, 10, 4}}, {1, {7, 12, 4}}, {3, {10, 18, 6}}, {7.5, {10, 20, 6}}}},
 };
 
 /* At most so many grids are solved, and the next one only if those that are left promise to reach the
@@ -213,19 +213,24 @@ static double rate_of(const struct grid *of, const struct solver_layers *all) {
 #define RESOLVED_LAST 54
 
 /* A layer of this depth or more, below a film at most, is like a half space: X differs by less than
- * about e^(-k depth), which is neglected beyond k = LIKE_MOST / depth. Below LIKE_FROM, relative to
+ * about e^(-k depth), which goes on as from k = like_most / depth. Below LIKE_FROM, relative to
  * its extinction, all functions of angle are as good. The half space's are of the first level that
  * is for LIKE_FINE times its largest k. */
 #define LIKE_DEPTH 0.5
 #define FILM_DEPTH 0.1
 #define LIKE_FROM 1.0
-#define LIKE_MOST 8.0
+static const double like_most[LEVELS] = {8, 8, 8, 10, 12};
 #define LIKE_FINE 0.7
 
 /* Over a half space, which absorbs, the path rises so many times as far as that of one layer: R far
- * from the beam then has less of the errors of large k, by up to a factor of 50. 4 times as far R is
- * lost, and already at 2 slabs lose digits of T near the axis. */
-#define RISES 2
+ * from the beam then has less of the errors of large k, by up to a factor of 50. Where Im k is more
+ * than 0.5 to 0.7 of the least extinction, a rate of the functions of angle changes its sign, and X is
+ * off by up to its size; with 1.4 it is 0.49. Slabs lose digits of T near the axis. */
+#define RISES 1.4
+
+/* From a level on, slabs, which light leaves at grazing angles, have more functions of angle, and a
+ * wavenumber more on each panel. */
+enum { MORE_FROM = 2, MORE_DEGREES = 2 };
 
 #define NOISE_BELOW 0.9
 #define NOISE_RISES 1.3
@@ -285,8 +290,9 @@ static void place_wavenumbers(struct grid *to, const struct solver_layers *of,
     const double s = to->layer[to->like].extinction;
     last_above = most * s;
     if (to->like == 0) {
-      to->layered_most = fmin(last, fmax(s, LIKE_MOST * s / depth_from(to, of, 0)));
-      last_above = fmax(last_above, to->layered_most);
+      const double alike = fmin(last, fmax(s, like_most[by - levels] * s / depth_from(to, of, 0)));
+      to->layered_most = fmin(alike, most * s);
+      last_above = by < &levels[MORE_FROM] ? fmax(last_above, alike) : last_above;
     }
     last = of->sides > 1 ? fmax(last, last_above) : last_above;
   }
@@ -302,7 +308,8 @@ static void place_wavenumbers(struct grid *to, const struct solver_layers *of,
    * share, is another one on each grid. */
   exitance_grid *above = &to->wavenumbers[0], *below = &to->wavenumbers[1];
   const double rises = of->sides == 1 && to->rate > 0 ? RISES : 1;
-  solver_exitance_place(above, NULL, to->rate, by->share, rises * all_least, by->nodes, end);
+  const size_t nodes = by->nodes + (of->sides > 1 && by >= &levels[MORE_FROM]);
+  solver_exitance_place(above, NULL, to->rate, by->share, rises * all_least, nodes, end);
   *below = *above;
   while (below->tier_end[TIERS - 1] < last) {
     const double next = 2 * below->tier_end[TIERS - 1];
@@ -375,14 +382,31 @@ static bool make_like(const struct grid *of, const stack *expanded, const expans
   return ok;
 }
 
+/* Returns whether a node's panel is one where the layers are like a half space, and its wavenumber at
+ * least `from`. */
+static bool is_alike(const struct grid *of, const struct solver_layers *all, size_t node,
+                     double from) {
+  const exitance_grid *at = &of->wavenumbers[1];
+  return of->like < all->count &&
+         creal(at->point[node / at->nodes]) >= LIKE_FROM * of->layer[of->like].extinction &&
+         creal(solver_exitance_wavenumber(at, node)) >= from;
+}
+
+/* What is left of layers' X - that of the half space, `from` at the wavenumber k_from, at k: light that
+ * comes from below a depth falls as e^(-k depth) / k^2. */
+static double complex leave_like(double complex from, double complex k_from, double complex k,
+                                 double depth) {
+  const double complex ratio = k_from * fn_inverse(k);
+  return isinf(depth) ? 0 : from * ratio * ratio * fn_cexp(-depth * (k - k_from));
+}
+
 /* Solves the wavenumbers that belong to one tier. values: [SIDES + 1][nodes], of which the last are
  * of the half space. */
 static bool solve_tier(const struct grid *of, const struct solver_layers *all, const core_isa *isa,
                        const struct level *by, size_t tier, double complex *values, size_t nodes,
                        const atomic_bool *stop) {
   const exitance_grid *wavenumbers = &of->wavenumbers[1];
-  const double layered_most = all->sides > 1 ? wavenumbers->tier_end[TIERS - 1] : of->layered_most;
-  const struct level *fine_by = &solver_levels[by > levels ? by - levels - 1 : 0];
+  const struct level *fine_by = &solver_levels[by - levels];
   const double last_above = creal(of->wavenumbers[0].point[of->wavenumbers[0].panels]);
   while (of->like < all->count && fine_by < &solver_levels[SOLVER_LEVELS - 1] &&
          fine_by->tier[TIERS - 1].k_most * of->layer[of->like].extinction <
@@ -390,32 +414,43 @@ static bool solve_tier(const struct grid *of, const struct solver_layers *all, c
     fine_by++;
   }
   const expansion_boundaries boundary = {.count = 1, .etas = &of->layer[0].index};
+  expansion_rules rules = by->tier[tier].rules;
+  rules.degrees += all->sides > 1 && by >= &levels[MORE_FROM] ? MORE_DEGREES : 0;
   stack *expanded = NULL;
   expansion *fine = NULL;
+  double complex *like = values + SIDES * nodes;
+  const double depth = depth_from(of, all, 0);
+  size_t edge = 0; /* the first node where R's layers are not solved */
+  while (edge < nodes && !is_alike(of, all, edge, of->layered_most)) {
+    edge++;
+  }
   bool ok = true;
   for (size_t node = tier == 0 ? 0 : solver_exitance_end(wavenumbers, tier - 1);
        node < solver_exitance_end(wavenumbers, tier) && ok; node++) {
     const double complex k = solver_exitance_wavenumber(wavenumbers, node);
-    const double panel = creal(wavenumbers->point[node / wavenumbers->nodes]);
+    const bool layered = node < edge;
     ok = !solver_stops(stop);
-    if (ok && panel < layered_most) {
+    if (ok && (layered || all->sides > 1)) {
       stack_exitance at;
-      expanded = expanded != NULL ? expanded
-                                  : solver_stack_new(isa, &by->tier[tier].rules, of->layer,
-                                                     all->count, all->eta_below);
+      expanded = expanded != NULL
+                     ? expanded
+                     : solver_stack_new(isa, &rules, of->layer, all->count, all->eta_below);
       ok = expanded != NULL && solver_stack_at(expanded, k, &at);
       for (size_t side = 0; side < SIDES && ok; side++) {
         values[side * nodes + node] = at.all[side] - at.once[side];
       }
-      values[SIDES * nodes + node] = values[node];
+      like[node] = values[node];
     }
-    if (ok && of->like < all->count && panel >= LIKE_FROM * of->layer[of->like].extinction &&
+    if (ok && is_alike(of, all, node, 0) &&
         node < solver_exitance_end(&of->wavenumbers[0], TIERS - 1)) {
       fine = fine != NULL ? fine
                           : solver_expansion_new(isa, &fine_by->tier[tier].rules,
                                                  &of->layer[of->like].medium, &boundary);
-      ok = fine != NULL && make_like(of, expanded, fine, k, panel < of->layered_most,
-                                     &values[SIDES * nodes + node], &values[node]);
+      ok = fine != NULL && make_like(of, expanded, fine, k, layered, &like[node], &values[node]);
+      if (!layered) {
+        values[node] += leave_like(values[edge - 1] - like[edge - 1],
+                                   solver_exitance_wavenumber(wavenumbers, edge - 1), k, depth);
+      }
     }
   }
   solver_stack_free(expanded);

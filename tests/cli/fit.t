@@ -110,7 +110,7 @@ model transport, moments exact, scale absolute
 sample  unknown       value     error   status   chi2  readings  numerical error  sample is
                    1/mm, mm  1/mm, mm
 ------  ---------  --------  --------  -------  -----  --------  ---------------  ---------
-two     sigma_a_1   0.29992    0.0017   fitted  1.449         5          2.0e-03     fitted
+two     sigma_a_1   0.29993    0.0017   fitted  1.476         5          2.0e-03     fitted
 zero    sigma_a_1         -       inf  refused      -         2                -    refused
 
 errors are standard errors, inf where a value is not fitted; chi2 is the sum of the squares of (reading - fit) / error
