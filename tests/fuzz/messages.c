@@ -124,16 +124,23 @@ static bool decode_request(unsigned type, const uint8_t *payload, size_t size) {
   case WIRE_TYPE_##IDENT:                                                                          \
     error = name##_request_parse(payload, size, __VA_ARGS__);                                      \
     break
+#define PARSE_CHECKED(IDENT, name)                                                                 \
+  case WIRE_TYPE_##IDENT:                                                                          \
+    error = schema_check(&schema_##name##_request, payload, size, &layout);                        \
+    if (error.status == WIRE_STATUS_OK) {                                                          \
+      error = name##_request_parse(payload, &layout, &request.name);                               \
+    }                                                                                              \
+    break
   switch (type) {
     PARSE(EVAL, eval, &request.eval);
     PARSE(OFFERS, eval, &request.eval);
     PARSE(SAMPLE, sample, &draw, &request.eval);
-    PARSE(FIT, fit, &request.fit);
-    PARSE(MC, mc, &request.mc);
-    PARSE(TABLE, table, &request.table);
+    PARSE_CHECKED(FIT, fit);
+    PARSE_CHECKED(MC, mc);
+    PARSE_CHECKED(TABLE, table);
     PARSE(VARYING, varying, &request.varying);
-    PARSE(POINTS, points, &request.points);
-    PARSE(GATHER, gather, &request.gather);
+    PARSE_CHECKED(POINTS, points);
+    PARSE_CHECKED(GATHER, gather);
   case WIRE_TYPE_INVERT:
     error = schema_check(&schema_invert_request, payload, size, &layout);
     break;
@@ -141,6 +148,7 @@ static bool decode_request(unsigned type, const uint8_t *payload, size_t size) {
     return false;
   }
 #undef PARSE
+#undef PARSE_CHECKED
   if (!is_good(&error)) {
     return false;
   }
