@@ -258,7 +258,8 @@ def test_fit(served, scale):
 
 def test_a_value_that_is_wrong_has_a_status(served):
     answer = good(post(served, "/v1/varying", model="better", sigma_a=[0.1, -1, 0.1],
-                       sigma_s=[1, 1, 1], r=[1, 1, -1]))
+                       sigma_s=[1, 1, 1], r=[1, 1, -1], g=0.5))
+    assert answer["notes"] == ["similarity"]
     assert answer["statuses"] == ["ok", "sigma_a", "radius"] and answer["computed_count"] == 1
     assert [value is None for value in answer["R"]] == [False, True, True]
 
@@ -1023,6 +1024,9 @@ def test_the_document_lists_what_there_is(served):
     for path, methods in document["paths"].items():
         assert get(served, path).status in (200, 400), path
         assert ("post" in methods) == (ask(served, "POST", path, {}).status == 400), path
-    properties = document["components"]["schemas"]["eval_request"]["properties"]
+    schemas = document["components"]["schemas"]
+    requests = [schema for name, schema in schemas.items() if name.endswith("_request")]
+    assert requests and not any(schema["additionalProperties"] for schema in requests)
+    properties = schemas["eval_request"]["properties"]
     assert properties["model"]["enum"] == models(served)
     assert "tolerance" in properties and "zero" not in properties

@@ -100,17 +100,23 @@ def test_a_frame_that_does_not_arrive(daemon):
 
 
 def test_a_slow_frame_delays_nobody_and_has_no_more_time(daemon):
-    """The time limit of a frame runs from its first byte. Unknown functions do not delay other
-    masters either, as they would in libmodbus's own server, which sleeps for 0.5 s."""
-    one = daemon(*TCP, "--modbus-frame-timeout-ms", "200")
-    with Tcp(one) as slow, Tcp(one) as fast:
+    """The time limit of a frame runs from its first byte, and anew for the next one. Unknown functions
+    do not delay other masters, as they would in libmodbus's own server, which sleeps for 0.5 s."""
+    one = daemon(*TCP, "--modbus-frame-timeout-ms", "500")
+    with Tcp(one) as ahead, Tcp(one) as slow, Tcp(one) as fast:
+        whole = ahead.frame(1, READ_ONE)
+        ahead.socket.sendall(whole[:5])
         frame = slow.frame(1, struct.pack(">BHHB", 16, 0, 100, 200) + bytes(200))
         with pytest.raises((BrokenPipeError, ConnectionResetError)):
             for byte in frame:
                 slow.socket.sendall(bytes([byte]))
                 assert fast.read(0, 1) == b"\0\0"
                 assert fast.exchange(1, bytes([99, 0, 0])) == bytes([99 | 0x80, BAD_FUNCTION])
+                ahead.socket.sendall(whole[5:] + whole[:5])
+                assert ahead.receive()[2] == b"\3\2\0\0"
                 time.sleep(0.02)
+        ahead.socket.sendall(whole[5:])
+        assert ahead.receive()[2] == b"\3\2\0\0"
 
 
 def test_silence(daemon):

@@ -316,6 +316,7 @@ def test_waiting_for_monte_carlo(shared, raw):
     assert told == [known.R.ravel().tolist(), known.R_error.ravel().tolist(), known.edges.tolist()]
     assert int(raw.ask("*ESR?")) & 1 and raw.ask("STAT:OPER:COND?;EVEN?;EVEN?") == "0;16;0"
     assert raw.ask("*OPC?") == "1"
+    assert raw.ask("MC:PHOT 1E4;STAR;*WAI;*ESR?") == "0"  # *OPC was for the job before
 
 
 def test_a_job_runs_beside_queries_and_is_aborted(raw):

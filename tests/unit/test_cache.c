@@ -299,6 +299,55 @@ UNIT_TEST(what_nobody_waits_for_is_not_prepared) {
   cache_free(f.server.cache);
 }
 
+/* A thing whose only waiter leaves while it is prepared, and another one comes before that stops. */
+struct change {
+  struct fixture f;
+  struct lookup leaves, comes;
+  unsigned preparations;
+};
+
+static core_fault prepare_changing(void *thing, const struct cache_key *key, const core_isa *isa,
+                                   const atomic_bool *stop) {
+  struct change *change = key->source;
+  (void)thing;
+  (void)isa;
+  if (change->preparations++ == 0) {
+    lookup_return(&change->leaves);
+    assert_true(atomic_load(stop));
+    assert_true(lookup_get(&change->f.lookups, &change->comes, key, CACHE_SLOW, false) ==
+                LOOKUP_WAIT);
+    return (core_fault){CORE_FIELD_STOPPED, "", 0};
+  }
+  assert_false(atomic_load(stop));
+  return (core_fault){NULL, NULL, 0};
+}
+
+static uint64_t no_bytes(const void *thing) {
+  (void)thing;
+  return 0;
+}
+
+UNIT_TEST(who_comes_while_it_stops_is_answered) {
+  static const uint64_t content = 1;
+  static const struct cache_kind kind = {.prepare = prepare_changing,
+                                         .free = do_nothing,
+                                         .bytes = no_bytes,
+                                         .hold = do_nothing,
+                                         .release = do_nothing};
+  struct change change;
+  const struct cache_key key = {&kind, &content, sizeof content, 1, &change};
+  open_cache(&change.f, 1 << 20);
+  change.preparations = 0;
+  change.leaves = change.comes = new_lookup(&change.f.owner);
+  assert_true(lookup_get(&change.f.lookups, &change.leaves, &key, CACHE_SLOW, false) ==
+              LOOKUP_WAIT);
+  assert_int_equal(take_turns(change.f.server.cache, 1), 1);
+  lookups_wake(&change.f.lookups);
+  assert_true(change.comes.woken && change.preparations == 2);
+  lookup_return(&change.comes);
+  cache_free(change.f.server.cache);
+}
+
 /* ---- turns ----------------------------------------------------------------------------------- */
 
 /* Three owners have 6, 3 and 1 waiters, and take turns. */
