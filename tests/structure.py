@@ -5,6 +5,7 @@ too, which rules, statuses and limits no line of tests/promises.txt holds.
 A module is a .c file with the .h and .def files of the same name in the same folder. Only includes
 that the sources of FOLDER (by default this repository) write with quotes count."""
 
+import graphlib
 import re
 import sys
 from pathlib import Path
@@ -61,39 +62,15 @@ def modules(root: Path) -> Graph:
     return graph
 
 
-def chain(graph: Graph, start: str, end: str) -> list[str] | None:
-    """Returns the shortest chain of includes from one module to another, with both ends."""
-    chains = [[start]]
-    seen = {start}
-    for one in chains:
-        for module in sorted(graph[one[-1]]):
-            if module == end:
-                return [*one, end]
-            if module not in seen:
-                seen.add(module)
-                chains.append([*one, module])
-    return None
-
-
-def circles(graph: Graph) -> list[list[str]]:
-    """Returns the shortest circle in each group of modules that include each other. A circle begins
-    and ends with the same module."""
-    reach = {}
-    for module in graph:
-        todo, reach[module] = [module], set()
-        while todo:
-            new = graph[todo.pop()] - reach[module]
-            reach[module] |= new
-            todo += new
-    groups = {
-        frozenset(other for other in reach[module] if module in reach[other])
-        for module in graph
-        if module in reach[module]
-    }
-    return [
-        min((chain(graph, module, module) for module in sorted(group)), key=len)
-        for group in sorted(groups, key=sorted)
-    ]
+def circle(graph: Graph) -> list[str]:
+    """Returns modules each of which includes the next one, with the first at the end again, if there are such."""
+    try:
+        graphlib.TopologicalSorter(graph).prepare()
+    except graphlib.CycleError as error:
+        found = error.args[1][:0:-1]
+        first = found.index(min(found))
+        return [*found[first:], *found[:first], found[first]]
+    return []
 
 
 def wordy(root: Path) -> list[str]:
@@ -149,10 +126,10 @@ def bare(root: Path) -> list[str]:
 def main() -> int:
     root = Path(sys.argv[1] if len(sys.argv) > 1 else Path(__file__).parents[1]).resolve()
     graph = modules(root)
-    found = circles(graph)
-    for circle in found:
-        print("modules include each other:", " -> ".join(circle))
-    if not found:
+    found = circle(graph)
+    if found:
+        print("modules include each other:", " -> ".join(found))
+    else:
         print(f"structure: {len(graph)} modules, none includes itself through others")
     too_long = wordy(root) + bare(root)
     for fault in [*too_long, *(f"tests/promises.txt: {one}" for one in without_a_test(root))]:

@@ -47,16 +47,11 @@ def test_a_circle_put_into_a_copy_is_found(copy, folder):
     """Adds an include to a header so that it includes the header of a module by which it is
     included."""
     graph = structure.modules(copy)
-
-    def may_serve(module: str) -> bool:
-        """Returns whether a module has a header and is in no circle yet."""
-        return (copy / f"{module}.h").exists() and not structure.chain(graph, module, module)
-
     module, other = next(
         (module, other)
         for module in graph
         for other in sorted(graph[module])
-        if module.startswith(f"{folder}/") and may_serve(module) and may_serve(other)
+        if module.startswith(f"{folder}/") and all((copy / f"{one}.h").exists() for one in (module, other))
     )
     with (copy / f"{other}.h").open("a") as header:
         header.write(f'#include "{module}.h"\n')
