@@ -197,6 +197,45 @@ $ dipole eval --sigma-a 0.01 --sigma-s 10 --f 1 --to 2
 ! `dipole eval --help` says more.
 ? 2
 
+## The slope, the logarithm and the density have units of their own.
+$ dipole eval --sigma-a 0.1 --sigma-s 1 --model better --r 0.5,2 --wanted dR_dr,ln_R,pdf
+moments exact, R in 1/mm^2 per unit of power that entered
+
+          better      better      better
+  r      dR_dr 1      ln_R 1       pdf 1
+ mm       1/mm^3  ln(1/mm^2)        1/mm
+---  -----------  ----------  ----------
+0.5  -3.5744e-02    -3.46021  3.7936e-01
+  2  -5.3739e-03     -5.3319  2.3348e-01
+
+                                                     dR_dr        dR_dr             ln_R         ln_R              pdf          pdf
+model   channel  sigma_a  sigma_s  g  eta  numerical error  model error  numerical error  model error  numerical error  model error  evaluator  notes
+                    1/mm     1/mm
+------  -------  -------  -------  -  ---  ---------------  -----------  ---------------  -----------  ---------------  -----------  ---------  -----
+better  1            0.1        1  0  1.3          5.3e-15      7.3e-01          4.6e-15      3.2e-01          4.6e-15      4.5e-01        f64
+numerical error: at most, against the model's formula, at r = 0.5 to 2 mm
+model error: the largest, of the model against radiative transport
+errors are relative, but of ln R, its derivatives, paths and modulated light absolute, as the
+cdf's model error is, and of R_f over the albedo
+per unit of power launched: values times 1 - ((eta - 1) / (eta + 1))^2 = 0.982987 (eta 1.3)
+
+$ dipole eval --sigma-a 0.1 --sigma-s 1 --model better --r 0.5,2 --wanted dR_dr,ln_R,pdf --format json
+{
+  "software": "dipoled 0.1.0",
+  "moments": "exact",
+  "R": "1/mm^2 per unit of power that entered",
+  "units": {"sigma_a": "1/mm", "sigma_s": "1/mm", "r": "mm", "dR_dr": "1/mm^3", "ln_R": "ln(1/mm^2)", "pdf": "1/mm"},
+  "rows": [
+    {"model": "better", "channel": "1", "sigma_a": 0.1, "sigma_s": 1, "g": 0, "eta": 1.3, "r": 0.5, "dR_dr": -0.03574352502251292, "ln_R": -3.460211240510665, "pdf": 0.37935883244269936, "numerical_error": 3.819167204710538e-15, "model_error": 0.7265671422593621, "numerical_error_dR_dr": 3.819167204710538e-15, "model_error_dR_dr": 0.7265671422593621, "numerical_error_ln_R": 3.1530333899354444e-15, "model_error_ln_R": 0.31666636373214124, "numerical_error_pdf": 3.1530333899354444e-15, "model_error_pdf": 0.4450895521160206, "evaluator": "f64", "notes": ""},
+    {"model": "better", "channel": "1", "sigma_a": 0.1, "sigma_s": 1, "g": 0, "eta": 1.3, "r": 2, "dR_dr": -0.00537387880653355, "ln_R": -5.3318958015403215, "pdf": 0.23347904842251382, "numerical_error": 5.284661597215745e-15, "model_error": 0.7265671422593621, "numerical_error_dR_dr": 5.284661597215745e-15, "model_error_dR_dr": 0.7265671422593621, "numerical_error_ln_R": 4.618527782440651e-15, "model_error_ln_R": 0.31666636373214124, "numerical_error_pdf": 4.618527782440651e-15, "model_error_pdf": 0.4450895521160206, "evaluator": "f64", "notes": ""}
+  ]
+}
+
+$ dipole eval --sigma-a 0.1 --sigma-s 1 --model better --r 0.5,2 --wanted dR_dr,ln_R,pdf --evaluator f32 --format csv
+model,channel,sigma_a,sigma_s,g,eta,r,dR_dr,ln_R,pdf,numerical_error,model_error,numerical_error_dR_dr,model_error_dR_dr,numerical_error_ln_R,model_error_ln_R,numerical_error_pdf,model_error_pdf,evaluator,notes
+better,1,0.1,1,0,1.3,0.5,-0.03574352,-3.460211,0.37935886,2.0503997802734374e-6,0.7265671832834677,2.0503997802734374e-6,0.7265671832834677,1.6927719116210937e-6,0.31666616181030577,1.6927719116210937e-6,0.4450894868699966,f32,
+better,1,0.1,1,0,1.3,2,-0.0053738784,-5.331896,0.23347904,2.837181091308594e-6,0.7265671832834677,2.837181091308594e-6,0.7265671832834677,2.47955322265625e-6,0.31666616181030577,2.47955322265625e-6,0.4450894868699966,f32,
+
 ## Tolerances in place of a model.
 $ dipole eval --medium skin1 --tolerance 0.01 --r 1,2
 skin1, moments exact, tolerance 0.01, R in 1/mm^2 per unit of power that entered
@@ -395,6 +434,17 @@ transport-transmitted
 
 $ cut -d, -f1 all.csv | sort -u | wc -l
 26
+
+$ dipole eval --sigma-a 0.032 --sigma-s 0.74 --model all --r 0,1 --wanted R --format csv 2>&1 >zero.csv | cut -d' ' -f3,7-
+gaussians bad-value: r number 1 of 2: allowed: the radii that the fit covers: fit_from to fit_to (--r)
+multipole bad-value: thickness: allowed: above 0 mm: this model is of a slab (--thickness)
+multipole-transmitted bad-value: thickness: allowed: above 0 mm: this model is of a slab (--thickness)
+better-multipole bad-value: thickness: allowed: above 0 mm: this model is of a slab (--thickness)
+better-multipole-transmitted bad-value: thickness: allowed: above 0 mm: this model is of a slab (--thickness)
+transport-transmitted bad-value: thickness: allowed: above 0 mm: light leaves below this model's last layer (--thickness)
+
+$ cut -d, -f1 zero.csv | sort -u | wc -l
+25
 
 ## A model that does not take a parameter is left out, too: no value is without it.
 $ dipole eval --sigma-a 0.032 --sigma-s 0.74 --model all --r 1 --thickness 5 --wanted R --format csv 2>left | grep -v ^transport

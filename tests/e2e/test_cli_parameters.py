@@ -1,12 +1,11 @@
-"""Parameters and notes on the command line, and `--model all` when some models refuse the query."""
+"""Parameters on the command line. tests/cli/eval.t has notes and `--model all`."""
 
 
 import pytest
 from command_line import USAGE, Proxy, dipole, eval_rows
-from command_line import read_csv
 from dipole import wire
 from frames import changed_choices
-from lists import MODELS, PARAMETERS, covers, medium_for, some_value, takes, thickness
+from lists import MODELS, PARAMETERS, medium_for, some_value, takes, thickness
 
 MEDIUM = ["--sigma-a", "0.032", "--sigma-s", "0.74"]  # SKIN
 
@@ -75,22 +74,3 @@ def test_a_daemon_without_the_parameter(daemon):
     with Proxy(daemon().url(), lambda number, request_id: None, without_parameters) as proxy:
         run = dipole("eval", *MEDIUM, "--cos-in", "1", "--connect", proxy.url, status=USAGE)
     assert "--cos-in: this daemon does not know it" in run.stderr
-
-
-# ---- all models ----------------------------------------------------------------------------------
-
-
-def test_models_that_refuse_are_left_out():
-    run = dipole("eval", *MEDIUM, "--model", "all", "--r", "0,1", "--format", "csv", quiet=False)
-    answered = {row["model"] for row in read_csv(run.stdout)}
-    lines = run.stderr.splitlines()
-    refusing = [model for model in MODELS if model not in answered]
-    assert len(lines) == len(refusing) > 0
-    for model, line in zip(refusing, lines):
-        assert line.startswith(f"dipole eval: {model} is left out: bad-value: ")
-        assert ": allowed: " in line and line.endswith(")") and " (--" in line
-    for model in MODELS:
-        assert (model in answered) == (not thickness(model) and covers(model, 0.0))
-        field = "thickness" if thickness(model) else "r"
-        if model in refusing:
-            assert f" {field}" in lines[refusing.index(model)]

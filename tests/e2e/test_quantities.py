@@ -1,5 +1,5 @@
-"""The quantities of a profile besides R, from the daemon and on the command line.
-tests/accuracy/test_distributions.c tests that they agree with R."""
+"""The quantities of a profile besides R. tests/accuracy/test_distributions.c tests that they agree with R,
+and tests/cli/eval.t has them in every format."""
 
 
 import numpy as np
@@ -7,30 +7,6 @@ import pytest
 from command_line import Proxy, dipole, eval_json, eval_rows
 from dipole import Medium, Refused, wire
 from frames import SKIN, changed_choices
-
-WANTED = ("R", "albedo", "cdf", "dR_dr", "ln_R", "pdf")
-
-
-@pytest.mark.parametrize("evaluator", ["f64", "f32"])
-def test_every_format_of_the_command_line_has_them(client, evaluator):
-    arguments = ["--sigma-a", "0.1", "--sigma-s", "1", "--r", "0.5,2", "--evaluator", evaluator]
-    arguments += ["--wanted", "dR_dr,ln_R,pdf"]
-    answer = client.eval("better", Medium(0.1, 1.0), [0.5, 2.0], evaluator=evaluator, wanted=WANTED)
-    report = eval_json(*arguments)
-    channel = {name: [row[name] for row in report["rows"]] for name in report["rows"][0]}
-    rows = eval_rows(*arguments)
-    text = dipole("eval", *arguments).stdout.split("\n\n")[1].splitlines()
-    assert text[1].split() == ["r", "dR_dr", "1", "ln_R", "1", "pdf", "1"]
-    assert text[2].split() == ["mm", "1/mm^3", "ln(1/mm^2)", "1/mm"]
-    table = np.array([line.split()[1:] for line in text[4:]], dtype=float)
-    for column, (name, unit) in enumerate(zip(["dR_dr", "ln_R", "pdf"], text[2].split()[1:])):
-        expected = getattr(answer, name)[0]
-        assert report["units"][name] == unit
-        # As many digits as the precision needs.
-        assert np.array(channel[name], expected.dtype).tolist() == expected.tolist()
-        assert np.array([row[name] for row in rows], expected.dtype).tolist() == expected.tolist()
-        assert table[:, column] == pytest.approx(expected, rel=1e-4)
-
 
 # ---- derivatives of ln R -------------------------------------------------------------------------
 
