@@ -54,26 +54,6 @@ static uint32_t parts_of(uint64_t radii, uint64_t each) {
 
 static const uint64_t sizes[] = {1, 7, 256, 999, 1000, 5000};
 
-UNIT_TEST(test_parts_are_put_together) {
-  for (size_t i = 0; i < sizeof sizes / sizeof sizes[0]; i++) {
-    for (unsigned evaluator = DIPOLE_F64; evaluator <= DIPOLE_LUT; evaluator++) {
-      const dipole_query query =
-          query_of(evaluator, evaluator == DIPOLE_F64 ? wanted_f64 : wanted_f32, PEER_RADII);
-      scripted_peer peer;
-      dipole_error error;
-      dipole_result *result;
-      dipole_client *client = peer_begin(&peer, peer_serve_parts, (void *)&sizes[i]);
-      for (int again = 0; again < 2; again++) {
-        peer_expect(dipole_eval(client, &query, &result, &error), &error);
-        assert_int_equal(result->radius_count, PEER_RADII);
-        check_values(result, 0);
-        dipole_result_free(result);
-      }
-      peer_finish(&peer, client);
-    }
-  }
-}
-
 /* Counts the parts and radii that the caller got, and says when to stop. */
 typedef struct reading {
   uint64_t next;
@@ -284,33 +264,6 @@ UNIT_TEST(test_a_reader_that_uses_the_client) {
 
 UNIT_TEST(test_a_reader_that_jumps_out_of_its_call) {
   break_rules(jump);
-}
-
-/* A script that sends two parts and closes the connection. */
-static void break_off(int fd, void *context) {
-  peer_frame request;
-  (void)context;
-  peer_say_hello(fd);
-  peer_receive_or_abort(fd, &request);
-  peer_send_part(fd, &request, 0, EACH);
-  peer_send_part(fd, &request, 1, EACH);
-  free(request.payload);
-}
-
-UNIT_TEST(test_lost_between_parts) {
-  const dipole_query query = query_of(DIPOLE_F64, wanted_f64, PEER_RADII);
-  for (int handed_on = 0; handed_on < 2; handed_on++) {
-    scripted_peer peer;
-    dipole_error error;
-    dipole_result *result;
-    reading so_far = {0};
-    dipole_client *client = peer_begin(&peer, break_off, NULL);
-    assert_false(handed_on ? dipole_eval_parts(client, &query, read_part, &so_far, &error)
-                           : dipole_eval(client, &query, &result, &error));
-    assert_int_equal(error.kind, DIPOLE_ERROR_CONNECTION);
-    assert_int_equal(so_far.next, handed_on ? 2 * EACH : 0);
-    peer_finish(&peer, client);
-  }
 }
 
 /* A script that sends the first part of an answer for 2^40 radii, which no memory could hold, and
