@@ -135,7 +135,6 @@ struct class {
 /* Shared by all workers; each writes its own counts. */
 struct worker {
   struct class classes[MODELS][EVALUATORS][CHECKS];
-  double seconds[MODELS];
 };
 
 static struct worker *worker;
@@ -1066,10 +1065,8 @@ static void run_round(uint64_t seed, unsigned only) {
   for (size_t model = 0; model < MODELS; model++) {
     uint64_t own = core_splitmix(&random);
     if (only == 0 || only == models[model]) {
-      const double start_s = now_s();
       const bool slow = (round_now + model) % 16 == 0 || only != 0;
       draw_subject(model, slow, (round_now + model) % 4 == 0, &own);
-      worker->seconds[model] += now_s() - start_s;
     }
   }
   if (only == 0 && round_now % 4 == 0) {
@@ -1077,13 +1074,10 @@ static void run_round(uint64_t seed, unsigned only) {
   }
 }
 
-static unsigned long long print_classes(const struct worker *workers, size_t count_of_workers,
-                                        bool all) {
+static unsigned long long print_classes(const struct worker *workers, size_t count_of_workers) {
   unsigned long long values = 0, by_form = 0, violations = 0, of_f64 = 0;
-  if (all) {
-    printf("%-30s %-4s %-11s %12s %12s %7s %s\n", "model", "", "", "values", "by formula", "worst",
-           "violations");
-  }
+  printf("%-30s %-4s %-11s %12s %12s %7s %s\n", "model", "", "", "values", "by formula", "worst",
+         "violations");
   for (size_t model = 0; model < MODELS; model++) {
     for (int at = 0; at < EVALUATORS * CHECKS; at++) {
       struct class sum = {0};
@@ -1094,7 +1088,7 @@ static unsigned long long print_classes(const struct worker *workers, size_t cou
         sum.violations += one->violations;
         sum.worst = fmax(sum.worst, one->worst);
       }
-      if (all && sum.values > 0) {
+      if (sum.values > 0) {
         printf("%-30s %-4s %-11s %12llu %12llu %7.3f %llu\n", model_name(model),
                at / CHECKS == FINE ? "fine" : evaluator_names[at / CHECKS],
                check_names[at % CHECKS], sum.values, sum.by_form, sum.worst, sum.violations);
@@ -1105,18 +1099,9 @@ static unsigned long long print_classes(const struct worker *workers, size_t cou
       violations += sum.violations;
     }
   }
-  for (size_t model = 0; all && model < MODELS; model++) {
-    double seconds = 0;
-    for (size_t w = 0; w < count_of_workers; w++) {
-      seconds += workers[w].seconds[model];
-    }
-    printf("%s%s %.0f s", model == 0 ? "time: " : ", ", model_name(model), seconds);
-  }
-  printf("%s%llu rounds, %llu values (%llu of f64, %llu compared with the formula), %llu off by "
-         "more than "
-         "stated\n",
-         all ? "\n" : "", *rounds_begun, values, of_f64, by_form, violations);
-  fflush(stdout);
+  printf("%llu rounds, %llu values (%llu of f64, %llu compared with the formula), %llu off by more "
+         "than stated\n",
+         *rounds_begun, values, of_f64, by_form, violations);
   return violations;
 }
 
@@ -1208,22 +1193,10 @@ int main(int argc, char **argv) {
     }
   }
   bool crashed = false;
-  for (size_t left = options.workers; left > 0;) {
-    int status;
-    double next_s = now_s() + 300;
-    pid_t child;
-    while ((child = waitpid(-1, &status, WNOHANG)) == 0) {
-      usleep(20000);
-      if (now_s() >= next_s) {
-        printf("%.0f s: ", now_s() - start_s);
-        print_classes(workers, options.workers, false);
-        next_s += 300;
-      }
-    }
+  for (int status; wait(&status) > 0;) {
     crashed = crashed || status != 0;
-    left--;
   }
-  const unsigned long long violations = print_classes(workers, options.workers, true);
+  const unsigned long long violations = print_classes(workers, options.workers);
   if (crashed) {
     printf("a worker has crashed\n");
   }
