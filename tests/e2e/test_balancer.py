@@ -192,6 +192,15 @@ class User(threading.Thread):
     def ask(self) -> None:
         raise NotImplementedError
 
+    def count_retries(self, client: dipole.Client | dipole.AsyncClient) -> None:
+        restore = client._session._restore
+
+        async def counted(lost):
+            self.retries += 1
+            await restore(lost)
+
+        client._session._restore = counted
+
     def check(self, which: object, answer: object) -> None:
         """Compares an answer with the first one to the same question."""
         assert answer == self.known.setdefault(which, answer), f"{self.name}: {which}"
@@ -204,13 +213,7 @@ class Python(User):
 
     def ask(self) -> None:
         with dipole.Client(self.address) as client:
-            restore = client._session._restore
-
-            async def counted(lost):
-                self.retries += 1
-                await restore(lost)
-
-            client._session._restore = counted
+            self.count_retries(client)
             while not self.ended.is_set():
                 under_way = [client.submit(**question) for question in QUESTIONS[:-1]]
                 for number, one in enumerate(under_way):
@@ -232,12 +235,6 @@ class Asyncio(User):
 
     async def ask_async(self) -> None:
         async with dipole.AsyncClient(self.address) as client:
-            restore = client._session._restore
-
-            async def counted(lost):
-                self.retries += 1
-                await restore(lost)
-
             async def eval(number: int) -> None:
                 self.check(number, result_bytes(await client.eval(**QUESTIONS[number])))
 
@@ -248,7 +245,7 @@ class Asyncio(User):
                 found = await client.gather("better", [SKIN], POINTS, POSITIONS)
                 self.check("gather", found.M.tobytes())
 
-            client._session._restore = counted
+            self.count_retries(client)
             while not self.ended.is_set():
                 await asyncio.gather(mc(), gather(), *map(eval, range(len(QUESTIONS))))
 

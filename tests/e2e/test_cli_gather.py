@@ -77,20 +77,15 @@ def test_queries_of_several_requests_keep_their_places(shared, tmp_path):
     assert np.array_equal(columns_of(ended.stdout, 1), whole)
 
 
-def test_a_daemon_that_dies_before_it_is_asked(tmp_path, queries, expected):
+def test_a_daemon_that_dies_before_it_is_asked(daemon, tmp_path, queries, expected):
     """The points are sent to the second daemon of the list."""
     points = write_csv(tmp_path / "p.csv", names(3), [XYZ, POWER])
-    first, second = Daemon(), Daemon()
-    try:
-        addresses = f"{first.url()},{second.url()}"
-        words = [points, queries, "--medium", "skin1", *BETTER, "--tolerance", "1e-3"]
-        first.kill()
-        ended = run("gather", *words, "--connect", addresses)
-        assert ended.returncode == 0, ended.stderr
-        assert np.array_equal(columns_of(ended.stdout, 3), expected)
-    finally:
-        first.close()
-        second.close()
+    first, second = daemon(), daemon()
+    words = [points, queries, "--medium", "skin1", *BETTER, "--tolerance", "1e-3"]
+    first.kill()
+    ended = run("gather", *words, "--connect", f"{first.url()},{second.url()}")
+    assert ended.returncode == 0, ended.stderr
+    assert np.array_equal(columns_of(ended.stdout, 3), expected)
 
 
 @pytest.mark.parametrize("client", ["python", "c"])

@@ -7,7 +7,7 @@ import dataclasses
 import dipole
 import numpy as np
 import pytest
-from daemons import Daemon, eventually, sanitized
+from daemons import eventually, sanitized
 from dipole import Points, wire
 from frames import (
     EVAL, SKIN, R, ask, assert_daemon_serves, assert_error, assert_serves, eval_payload, frame,
@@ -55,7 +55,6 @@ def test_no_queries_and_many(client):
     )
     assert reports == [(16384, 40_000), (32768, 40_000), (40_000, 40_000)]
     assert np.all(found.M > 0)
-
 
 
 @pytest.mark.parametrize(
@@ -172,44 +171,36 @@ def test_sent_through_several_connections_at_a_time(daemon):
         assert client.statistics()["points_sent_sets"] == 0
 
 
-def test_a_daemon_dies_between_sending_and_asking():
+def test_a_daemon_dies_between_sending_and_asking(daemon):
     """The client goes on with the second daemon of its list, which has never seen the points."""
     points, queries = scene(3000, seed=3), positions(20)
-    first, second = Daemon(), Daemon()
-    try:
-        with second.client() as client:
-            expected = client.gather("better", [SKIN], points, queries).M
-        other = scene(2000, seed=4)
-        with dipole.Client(f"{first.url()},{second.url()}") as client:
-            client.gather("better", [SKIN], other, queries)
-            first.kill()
-            assert np.array_equal(client.gather("better", [SKIN], points, queries).M, expected)
-            assert client.gather("better", [SKIN], other, queries).M.shape == (20, 1)
-            assert client.address == second.url()
-    finally:
-        first.close()
-        second.close()
+    first, second = daemon(), daemon()
+    with second.client() as client:
+        expected = client.gather("better", [SKIN], points, queries).M
+    other = scene(2000, seed=4)
+    with dipole.Client(f"{first.url()},{second.url()}") as client:
+        client.gather("better", [SKIN], other, queries)
+        first.kill()
+        assert np.array_equal(client.gather("better", [SKIN], points, queries).M, expected)
+        assert client.gather("better", [SKIN], other, queries).M.shape == (20, 1)
+        assert client.address == second.url()
 
 
-def test_a_daemon_dies_while_it_sums():
+def test_a_daemon_dies_while_it_sums(daemon):
     points, queries = scene(500), positions(100_000)
-    first, second = Daemon(), Daemon()
-    try:
-        with second.client() as client:
-            expected = client.gather("better", [SKIN], points, queries[-100:]).M
-        killed = []
+    first, second = daemon(), daemon()
+    with second.client() as client:
+        expected = client.gather("better", [SKIN], points, queries[-100:]).M
+    killed = []
 
-        def kill(answered: int, count: int) -> None:
-            if not killed:
-                killed.append(first.kill())
+    def kill(answered: int, count: int) -> None:
+        if not killed:
+            killed.append(first.kill())
 
-        with dipole.Client(f"{first.url()},{second.url()}") as client:
-            found = client.gather("better", [SKIN], points, queries, progress=kill)
-            assert client.address == second.url()
-        assert killed and np.array_equal(found.M[-100:], expected) and np.all(found.M > 0)
-    finally:
-        first.close()
-        second.close()
+    with dipole.Client(f"{first.url()},{second.url()}") as client:
+        found = client.gather("better", [SKIN], points, queries, progress=kill)
+        assert client.address == second.url()
+    assert killed and np.array_equal(found.M[-100:], expected) and np.all(found.M > 0)
 
 
 def test_the_oldest_sets_are_evicted_and_sent_again(daemon):

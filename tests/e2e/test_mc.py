@@ -8,7 +8,7 @@ import dipole
 import numpy as np
 import pytest
 from daemons import eventually
-from dipole import Grid, Medium, wire
+from dipole import Frame, Grid, Medium, wire
 from dipole.mc import McResult, pack_request, progress_of, unpack_fixed, unpack_result
 from frames import LINEAR, SKIN, ask, assert_closed, assert_error, assert_serves, frame
 
@@ -27,13 +27,20 @@ def mc_payload(**changes) -> bytes:
     return pack_request(**{**fields, "seed": 1, **changes})
 
 
-def receive_table(connection: dipole.Connection, request_id: int = 77) -> McResult:
-    """Receives the last reply to an mc request, after any reports of progress."""
+def receive_last(connection: dipole.Connection, request_id: int) -> Frame:
+    """Receives the last reply to a request, after any reports of progress, of other jobs, too."""
     while True:
         reply = connection.receive_frame()
-        assert (reply.type, reply.request_id) == (MC | wire.REPLY, request_id)
-        if unpack_fixed(reply.payload).state != wire.MC_UNDER_WAY:
-            return unpack_result(reply.payload)
+        if reply.type != MC | wire.REPLY or unpack_fixed(reply.payload).state != wire.MC_UNDER_WAY:
+            assert reply.request_id == request_id
+            return reply
+
+
+def receive_table(connection: dipole.Connection, request_id: int = 77) -> McResult:
+    """Receives the last reply to an mc request."""
+    reply = receive_last(connection, request_id)
+    assert reply.type == MC | wire.REPLY
+    return unpack_result(reply.payload)
 
 
 def start_endless(connection: dipole.Connection, request_id: int = 77) -> None:
@@ -45,15 +52,11 @@ def start_endless(connection: dipole.Connection, request_id: int = 77) -> None:
 
 
 def cancel(connection: dipole.Connection, job_id: int, request_id: int = 500) -> int:
-    """Sends a cancel request. Returns the field `found` of its reply, which may come after reports
-    of progress."""
+    """Sends a cancel request. Returns the field `found` of its reply."""
     connection.send_bytes(frame(CANCEL, request_id, wire.CANCEL_REQUEST.pack(job_id=job_id)))
-    while True:
-        reply = connection.receive_frame()
-        if reply.request_id == request_id:
-            assert reply.type == CANCEL | wire.REPLY
-            return wire.CANCEL_REPLY.unpack(reply.payload).found
-        assert unpack_fixed(reply.payload).state == wire.MC_UNDER_WAY
+    reply = receive_last(connection, request_id)
+    assert reply.type == CANCEL | wire.REPLY
+    return wire.CANCEL_REPLY.unpack(reply.payload).found
 
 
 # ---- tables --------------------------------------------------------------------------------------
@@ -102,11 +105,7 @@ def test_only_the_named_job_is_cancelled(daemon):
         connection.send_bytes(frame(MC, 2, mc_payload(**ENDLESS)))
         assert cancel(connection, 3) == 0
         assert cancel(connection, 2) == 1
-        last: dict[int, int] = {}
-        while last.get(2, 0) == 0:
-            reply = connection.receive_frame()
-            last[reply.request_id] = unpack_fixed(reply.payload).state
-        assert last[2] == 3 and last.get(1, 0) == 0
+        assert receive_table(connection, 2).state == "cancelled"
         assert cancel(connection, 1) == 1
         assert receive_table(connection, 1).state == "cancelled"
 
@@ -146,9 +145,7 @@ def test_a_lost_frame_drops_the_job(daemon):
     with one.connect() as connection:
         start_endless(connection)
         connection.send_bytes(bytes(24))
-        while (reply := connection.receive_frame()).type != wire.TYPE_ERROR:
-            assert unpack_fixed(reply.payload).state == wire.MC_UNDER_WAY
-        assert_error(reply, "bad-magic", "magic", "", request_id=0)
+        assert_error(receive_last(connection, 0), "bad-magic", "magic", "", request_id=0)
         assert_closed(connection)
     assert eventually(lambda: no_job_open(one))
 
@@ -187,11 +184,7 @@ def test_jobs_take_turns(daemon):
         for request_id in (1, 2, 3):
             connection.send_bytes(frame(MC, request_id, mc_payload(**ENDLESS)))
         connection.send_bytes(frame(MC, 4, mc_payload()))
-        while True:
-            reply = connection.receive_frame()
-            if unpack_fixed(reply.payload).state != wire.MC_UNDER_WAY:
-                break
-        assert reply.request_id == 4 and unpack_result(reply.payload).state == "photons"
+        assert receive_table(connection, 4).state == "photons"
 
 
 def test_many_clients_at_a_time(daemon):
@@ -254,18 +247,11 @@ def test_max_mc_jobs(daemon):
         start_endless(connection, 1)
         connection.send_bytes(frame(MC, 2, mc_payload(**ENDLESS)))
         connection.send_bytes(frame(MC, 3, mc_payload()))
-        while (reply := connection.receive_frame()).request_id != 3:
-            assert unpack_fixed(reply.payload).state == wire.MC_UNDER_WAY
-        assert_error(reply, "busy", "max_mc_jobs", "fewer", request_id=3)
+        assert_error(receive_last(connection, 3), "busy", "max_mc_jobs", "fewer", request_id=3)
         assert cancel(connection, 2) == 1
-        while (reply := connection.receive_frame()).request_id != 2 or (
-            unpack_fixed(reply.payload).state == wire.MC_UNDER_WAY
-        ):
-            pass
+        assert receive_table(connection, 2).state == "cancelled"
         connection.send_bytes(frame(MC, 3, mc_payload()))
-        while (reply := connection.receive_frame()).request_id != 3:
-            pass
-        assert reply.type == MC | wire.REPLY
+        assert receive_table(connection, 3).state == "photons"
 
 
 def test_one_job_after_the_other(daemon):

@@ -392,13 +392,18 @@ def test_certificates_are_reloaded_under_load(daemon, authority, ours, tmp_path)
 # ---- peers that are rude -------------------------------------------------------------------------
 
 
-def hello_bytes(ours) -> bytes:
-    """Returns the first flight of a client."""
+def begun_handshake(ours) -> tuple[ssl.MemoryBIO, ssl.MemoryBIO, ssl.SSLObject]:
+    """Returns what arrives at a client and what leaves it, its first flight, and the client."""
     arriving, leaving = ssl.MemoryBIO(), ssl.MemoryBIO()
     session = dipole.Tls(**ours).context().wrap_bio(arriving, leaving, server_hostname="localhost")
     with pytest.raises(ssl.SSLWantReadError):
         session.do_handshake()
-    return leaving.read()
+    return arriving, leaving, session
+
+
+def hello_bytes(ours) -> bytes:
+    """Returns the first flight of a client."""
+    return begun_handshake(ours)[1].read()
 
 
 # Begins handshakes and leaves them, of every second one before the first byte, and keeps the last
@@ -446,10 +451,7 @@ def test_half_open_handshakes_keep_nobody_out(farm, ours):
 def test_silent_clients_end_only_each_other(daemon, server, ours):
     """A handshake that has begun goes on beside a flood of connections that send nothing."""
     one = daemon("--max-tls-handshakes", "4", *options(server), listen=[TLS, "tcp:127.0.0.1:0"])
-    arriving, leaving = ssl.MemoryBIO(), ssl.MemoryBIO()
-    session = dipole.Tls(**ours).context().wrap_bio(arriving, leaving, server_hostname="localhost")
-    with pytest.raises(ssl.SSLWantReadError):
-        session.do_handshake()
+    arriving, leaving, session = begun_handshake(ours)
     hello = leaving.read()
     with socket.create_connection(("127.0.0.1", port_of(one)), 10) as good, ExitStack() as stack:
         good.sendall(hello[:50])
@@ -493,8 +495,7 @@ def test_a_handshake_may_not_have_many_bytes(farm, ours):
 
 def test_byte_by_byte(farm, ours):
     """A client whose bytes come one by one gets its answer."""
-    arriving, leaving = ssl.MemoryBIO(), ssl.MemoryBIO()
-    session = dipole.Tls(**ours).context().wrap_bio(arriving, leaving, server_hostname="localhost")
+    arriving, leaving, session = begun_handshake(ours)
     frames = b"".join(dipole.connection.frame_pieces(5, 7, b"12345678"))
     with socket.create_connection(("127.0.0.1", port_of(farm)), 10) as one:
         one.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
