@@ -475,7 +475,7 @@ UNIT_TEST(totals_by_moments_are_those_by_g) {
 UNIT_TEST(faults_name_their_field) {
   const double eta = 1.4, bad_eta[] = {1.4, 4.1};
   const double moments[] = {0.5, 0};
-  const solver_phase good = {0.9, 0, NULL}, peaked = {0.999, 0, NULL}, unknown = {NAN, 0, NULL};
+  const solver_phase good = {0.9, 0, NULL}, peaked = {0.991, 0, NULL}, unknown = {NAN, 0, NULL};
   const solver_phase unnormalized = {0, 2, moments};
   solver_solution *solution;
   const struct {
@@ -504,6 +504,9 @@ UNIT_TEST(faults_name_their_field) {
   assert_null(solution);
   unit_assert_fault(solver_solve(&solution, core_isa_select(NULL), 1, &good, &eta, 1, INFINITY),
                     "tolerance", 0);
+  const solver_phase most = {0.99, 0, NULL};
+  solver_total total; /* without absorption it takes no solution */
+  unit_assert_fault(solver_totals(&total, core_isa_select(NULL), 0, &most, &eta, 1), NULL, 0);
   solver_free(NULL);
 }
 

@@ -17,6 +17,10 @@ $ dipole points one.csv --model better --errors --wanted R,ln_R
 sigma_a,sigma_s,g,eta,r,R,ln_R,numerical_error,model_error,status
 0.01,1,0,1.4,2,0.008922392411638412,-4.719191160768661,2.696377747089643e-15,0.1694556622729013,ok
 
+## The error grows with the radius, as that of eval does.
+$ printf 'sigma_a,sigma_s,g,eta,r\n0.001,1,0,1.4,1000\n' | dipole points --model classical+single --wanted R --errors | tail -1 | cut -d, -f7 > error; dipole eval --model classical+single --sigma-a 0.001 --sigma-s 1 --g 0 --eta 1.4 --r 1000 --wanted R --format csv | tail -1 | cut -d, -f9 | diff - error && grep -c 'e-12' error
+1
+
 $ dipole points one.csv --tolerance 0.01
 sigma_a,sigma_s,g,eta,r,R,albedo,status
 0.01,1,0,1.4,2,0.0076295505,0.6222119489494612,ok
