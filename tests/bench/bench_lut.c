@@ -5,9 +5,6 @@
  *   lut.<model>.table, lut.<model>.f32    values/s
  *   lut.<model>.prepare                   s, to build the table
  *   lut.<model>.prepare_f64               s, to prepare the model itself in double precision
- *   lut.<model>.bytes                     size of the table
- *   ratio.lut.<model>                     the table over the model itself
- *   ratio.lut.quantized_diffusion         ratio.lut of the model `quantized`
  *   ratio.lut.transport_over_better_dipole   the table of transport over the better dipole itself,
  *                                            both for tissue with g = 0.9
  *   lut.transport_with_g.prepare          s, to build that table
@@ -84,18 +81,13 @@ static void measure_model(const core_choice *model) {
   bench_contender contenders[CONTENDERS];
   core_profile table = bench_profile(core_isa_select(NULL), model->id, CORE_EVALUATOR_LUT);
   core_profile direct = bench_profile(core_isa_select(NULL), model->id, CORE_EVALUATOR_F32);
-  const double ratio = compare(model->name, &table, &direct, contenders);
+  compare(model->name, &table, &direct, contenders);
   bench_figure(RADII / contenders[0].ns * 1e9, "values/s", "lut.%s.table", model->name);
   bench_figure(RADII / contenders[1].ns * 1e9, "values/s", "lut.%s.f32", model->name);
   bench_figure(median_s_to_prepare(model->id, CORE_EVALUATOR_F64, measured_profile), "s",
                "lut.%s.prepare_f64", model->name);
   bench_figure(median_s_to_prepare(model->id, CORE_EVALUATOR_LUT, measured_profile), "s",
                "lut.%s.prepare", model->name);
-  bench_figure((double)(table.lut_count * sizeof *table.lut), "bytes", "lut.%s.bytes", model->name);
-  bench_figure(ratio, "times", "ratio.lut.%s", model->name);
-  if (model->id == CORE_MODEL_QUANTIZED) {
-    bench_figure(ratio, "times", "ratio.lut.quantized_diffusion");
-  }
   core_profile_free(&table);
   core_profile_free(&direct);
 }

@@ -5,16 +5,13 @@
  * precision at listed radii, over a Unix socket. Each reply is compared with the first one, whose
  * values are compared with those of the kernel in this process; of large replies, every 16th.
  *
- *   service.bulk.<side>.p50 ...    round trip of 65,536 radii, one at a time                   us
+ *   service.bulk.<side>.p50        round trip of 65,536 radii, one at a time                   us
  *   service.bulk.kernel            the evaluation alone, in this process                       us
  *   ratio.service.bulk             dipoled over the sum of echo and kernel
- *   service.rtt.<side>.p50 ...     round trip of 16 radii, one at a time                       us
+ *   service.rtt.<side>.p50         round trip of 16 radii, one at a time                       us
  *   ratio.service.rtt              dipoled over echo
  *   ratio.service.<...>.epoll      an echo server that asks epoll for each request, over one that
  *                                  does not: the least that a server of many connections can have
- *   service.many.rate              requests of 16 radii to dipoled over 32 connections, 16 at a time
- *                                  on each, which wait for each other                  requests/s
- *   service.many.cpu               processor time of dipoled for one request                   us
  *
  * bulk and rtt are also measured with the client on the servers' core: names with .onecore. No two
  * processes then run at the same time, and no core has to be woken. These figures show the work,
@@ -42,8 +39,6 @@ enum {
   SMALL_RADII = 16,
   BULK_RADII = 65536,
   ROUNDS = 15,
-  CONNECTIONS = 32,
-  IN_FLIGHT = 16,
   SAMPLES_MOST = 1 << 17,
   CHECK_LARGE_EVERY = 16, /* because a comparison takes a good part of the measured time */
   SILENCE_S = 10,
@@ -56,14 +51,13 @@ enum {
 struct exchange {
   float *r, *R; /* [radius_count]: what is asked for, and what the kernel says */
   size_t radius_count, request_bytes, reply_bytes;
-  uint8_t *request, *reply, *received; /* received: IN_FLIGHT replies */
+  uint8_t *request, *reply, *received;
 };
 
 struct side {
   const char *name;
   int fd;
-  double p50_us[ROUNDS], p99_us[ROUNDS];
-  double max_us; /* of all rounds */
+  double p50_us[ROUNDS];
 };
 
 static core_profile profile; /* of what is asked for */
@@ -104,15 +98,6 @@ static pid_t fork_child(enum place place) {
 static void end_child(pid_t child) {
   kill(child, SIGTERM);
   waitpid(child, NULL, 0);
-}
-
-static double cpu_us(pid_t child) {
-  clockid_t clock;
-  struct timespec time;
-  if (clock_getcpuclockid(child, &clock) != 0 || clock_gettime(clock, &time) != 0) {
-    bench_fail("a server has ended too early");
-  }
-  return (double)time.tv_sec * 1e6 + (double)time.tv_nsec * 1e-3;
 }
 
 static struct sockaddr_un daemon_address(void) {
@@ -188,29 +173,13 @@ static bool receive_all(int fd, uint8_t *bytes, size_t count) {
   return true;
 }
 
-/* Sends so many requests at once. */
-static void send_requests(int fd, const struct exchange *exchange, size_t count) {
-  if (!send_all(fd, exchange->request, count * exchange->request_bytes)) {
+static void send_request(int fd, const struct exchange *exchange) {
+  if (!send_all(fd, exchange->request, exchange->request_bytes)) {
     bench_fail("a server does not take a request");
   }
 }
 
-static void receive_replies(int fd, const struct exchange *exchange, size_t count) {
-  if (!receive_all(fd, exchange->received, count * exchange->reply_bytes)) {
-    bench_fail("a server does not reply");
-  }
-}
-
-static void check_replies(const struct exchange *exchange, size_t count) {
-  for (size_t i = 0; i < count; i++) {
-    if (memcmp(exchange->received + i * exchange->reply_bytes, exchange->reply,
-               exchange->reply_bytes) != 0) {
-      bench_fail("a reply is another than the first one");
-    }
-  }
-}
-
-/* Asks the daemon for the first reply. Requests have all the same id. */
+/* Asks the daemon for the first reply. */
 static struct exchange make_exchange(size_t radius_count, int fd) {
   const core_medium *medium = &core_measured_medium_by_name("skin1")->channel[0];
   const size_t bytes = radius_count * sizeof(float);
@@ -226,9 +195,9 @@ static struct exchange make_exchange(size_t radius_count, int fd) {
       .r = malloc(bytes),
       .R = malloc(bytes),
   };
-  exchange.request = malloc(IN_FLIGHT * exchange.request_bytes);
+  exchange.request = malloc(exchange.request_bytes);
   exchange.reply = malloc(exchange.reply_bytes);
-  exchange.received = malloc(IN_FLIGHT * exchange.reply_bytes);
+  exchange.received = malloc(exchange.reply_bytes);
   if (exchange.r == NULL || exchange.R == NULL || exchange.request == NULL ||
       exchange.reply == NULL || exchange.received == NULL) {
     bench_fail("out of memory");
@@ -252,15 +221,12 @@ static struct exchange make_exchange(size_t radius_count, int fd) {
   const wire_medium layer = {medium->sigma_a_per_mm, medium->sigma_s_per_mm, medium->g,
                              medium->eta};
   bench_fill_radii(sizeof *exchange.r, exchange.r, radius_count);
-  for (size_t i = 0; i < IN_FLIGHT; i++) {
-    uint8_t *at = exchange.request + i * exchange.request_bytes;
-    wire_put_header(at, &header);
-    wire_put_eval_request(at + WIRE_BYTES_header, &fixed);
-    wire_put_medium(at + WIRE_BYTES_header + WIRE_BYTES_eval_request, &layer);
-    memcpy(at + exchange.request_bytes - bytes, exchange.r, bytes);
-  }
+  wire_put_header(exchange.request, &header);
+  wire_put_eval_request(exchange.request + WIRE_BYTES_header, &fixed);
+  wire_put_medium(exchange.request + WIRE_BYTES_header + WIRE_BYTES_eval_request, &layer);
+  memcpy(exchange.request + exchange.request_bytes - bytes, exchange.r, bytes);
   core_eval_f32(&profile, CORE_QUANTITY_R, radius_count, exchange.r, exchange.R);
-  send_requests(fd, &exchange, 1);
+  send_request(fd, &exchange);
   if (!receive_all(fd, exchange.reply, exchange.reply_bytes) ||
       memcmp(exchange.reply + WIRE_BYTES_header + layout.arrays_offset, exchange.R, bytes) != 0) {
     bench_fail("the daemon does not reply with the kernel's values");
@@ -307,11 +273,14 @@ static size_t ping(int fd, const struct exchange *exchange, uint64_t duration_ns
   size_t count = 0;
   do {
     const uint64_t start_ns = bench_now_ns();
-    send_requests(fd, exchange, 1);
-    receive_replies(fd, exchange, 1);
+    send_request(fd, exchange);
+    if (!receive_all(fd, exchange->received, exchange->reply_bytes)) {
+      bench_fail("a server does not reply");
+    }
     samples_us[count++] = (double)(bench_now_ns() - start_ns) * 1e-3;
-    if (count % check_every == 0) {
-      check_replies(exchange, 1);
+    if (count % check_every == 0 &&
+        memcmp(exchange->received, exchange->reply, exchange->reply_bytes) != 0) {
+      bench_fail("a reply is another than the first one");
     }
   } while (count < SAMPLES_MOST && bench_now_ns() < end_ns);
   return count;
@@ -347,10 +316,6 @@ static void measure_pings(const struct exchange *exchange, pid_t server, bool wi
     for (size_t i = 0; i < SIDES; i++) {
       const size_t count = ping(sides[i].fd, exchange, ROUND_NS);
       sides[i].p50_us[round] = bench_median(samples_us, count);
-      sides[i].p99_us[round] = samples_us[(count - 1) * 99 / 100];
-      if (samples_us[count - 1] > sides[i].max_us) {
-        sides[i].max_us = samples_us[count - 1];
-      }
     }
     kernels_us[round] = with_kernel ? kernel_us(exchange) : 0;
     floor_us[round] = sides[ECHO].p50_us[round] + kernels_us[round];
@@ -359,10 +324,8 @@ static void measure_pings(const struct exchange *exchange, pid_t server, bool wi
   end_child(waiting_echo);
   for (size_t i = 0; i < SIDES; i++) {
     close(sides[i].fd);
-    const char *side = sides[i].name;
-    bench_figure(bench_median_of(sides[i].p50_us, ROUNDS), "us", "service.%s.%s.p50", name, side);
-    bench_figure(bench_median_of(sides[i].p99_us, ROUNDS), "us", "service.%s.%s.p99", name, side);
-    bench_figure(sides[i].max_us, "us", "service.%s.%s.max", name, side);
+    bench_figure(bench_median_of(sides[i].p50_us, ROUNDS), "us", "service.%s.%s.p50", name,
+                 sides[i].name);
   }
   if (with_kernel) {
     bench_figure(bench_median_of(kernels_us, ROUNDS), "us", "service.%s.kernel", name);
@@ -371,36 +334,6 @@ static void measure_pings(const struct exchange *exchange, pid_t server, bool wi
                "ratio.service.%s", name);
   bench_figure(bench_median_ratio(sides[WAITING_ECHO].p50_us, sides[ECHO].p50_us, ROUNDS), "times",
                "ratio.service.%s.epoll", name);
-}
-
-static void measure_many(const struct exchange *exchange, pid_t server) {
-  int fd[CONNECTIONS];
-  double rates_per_s[ROUNDS], cpus_us[ROUNDS];
-  bench_progress("many");
-  for (size_t i = 0; i < CONNECTIONS; i++) {
-    fd[i] = connect_to(server);
-  }
-  for (size_t round = 0; round < ROUNDS; round++) {
-    const uint64_t start_ns = bench_now_ns();
-    const double start_us = cpu_us(server);
-    size_t count = 0;
-    for (; bench_now_ns() < start_ns + ROUND_NS; count += CONNECTIONS * IN_FLIGHT) {
-      for (size_t i = 0; i < CONNECTIONS; i++) {
-        send_requests(fd[i], exchange, IN_FLIGHT);
-      }
-      for (size_t i = 0; i < CONNECTIONS; i++) {
-        receive_replies(fd[i], exchange, IN_FLIGHT);
-        check_replies(exchange, IN_FLIGHT);
-      }
-    }
-    rates_per_s[round] = (double)count * 1e9 / (double)(bench_now_ns() - start_ns);
-    cpus_us[round] = (cpu_us(server) - start_us) / (double)count;
-  }
-  for (size_t i = 0; i < CONNECTIONS; i++) {
-    close(fd[i]);
-  }
-  bench_figure(bench_median(rates_per_s, ROUNDS), "requests/s", "service.many.rate");
-  bench_figure(bench_median(cpus_us, ROUNDS), "us", "service.many.cpu");
 }
 
 void bench_service(void) {
@@ -417,7 +350,6 @@ void bench_service(void) {
   pin(LAST_CORE);
   measure_pings(&bulk, server, true, "bulk");
   measure_pings(&small, server, false, "rtt");
-  measure_many(&small, server);
   pin(FIRST_CORE);
   measure_pings(&bulk, server, true, "bulk.onecore");
   measure_pings(&small, server, false, "rtt.onecore");
