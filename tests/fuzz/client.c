@@ -360,17 +360,16 @@ static bool ask(dipole_client *client, unsigned type, unsigned how, dipole_error
   bool good;
   switch (type) {
   case WIRE_TYPE_EVAL: {
-    dipole_result *result;
+    dipole_result *result = NULL;
     if (how & 4) {
       return dipole_eval_parts(client, &query, take_part, &limit, error);
     }
-    if ((good = dipole_eval(client, &query, &result, error))) {
-      dipole_result_free(result);
-    }
+    good = dipole_eval(client, &query, &result, error);
+    dipole_result_free(result);
     return good;
   }
   case WIRE_TYPE_SAMPLE: {
-    dipole_result *result;
+    dipole_result *result = NULL;
     const dipole_sample_query sample = {.model = CORE_MODEL_BETTER,
                                         .evaluator = DIPOLE_F64,
                                         .moments = DIPOLE_EXACT,
@@ -379,13 +378,12 @@ static bool ask(dipole_client *client, unsigned type, unsigned how, dipole_error
                                         .medium_count = query.medium_count,
                                         .draw = DIPOLE_DRAW_REGULAR,
                                         .sample_count = 4};
-    if ((good = dipole_sample(client, &sample, &result, error))) {
-      dipole_result_free(result);
-    }
+    good = dipole_sample(client, &sample, &result, error);
+    dipole_result_free(result);
     return good;
   }
   case WIRE_TYPE_INVERT: {
-    dipole_inversion *inversion;
+    dipole_inversion *inversion = NULL;
     const dipole_invert_query invert = {.model = CORE_MODEL_BETTER,
                                         .moments = DIPOLE_EXACT,
                                         .given = DIPOLE_MEAN_FREE_PATH,
@@ -393,13 +391,12 @@ static bool ask(dipole_client *client, unsigned type, unsigned how, dipole_error
                                         .albedos = albedos,
                                         .lengths_mm = radii,
                                         .medium_count = query.medium_count};
-    if ((good = dipole_invert(client, &invert, &inversion, error))) {
-      dipole_inversion_free(inversion);
-    }
+    good = dipole_invert(client, &invert, &inversion, error);
+    dipole_inversion_free(inversion);
     return good;
   }
   case WIRE_TYPE_FIT: {
-    dipole_fits *fits;
+    dipole_fits *fits = NULL;
     const dipole_fit_query fit = {.model = CORE_MODEL_BETTER,
                                   .moments = DIPOLE_EXACT,
                                   .eta = 1.3,
@@ -412,13 +409,12 @@ static bool ask(dipole_client *client, unsigned type, unsigned how, dipole_error
                                   .values = albedos,
                                   .errors = albedos,
                                   .residuals = into};
-    if ((good = dipole_fit(client, &fit, &fits, error))) {
-      dipole_fits_free(fits);
-    }
+    good = dipole_fit(client, &fit, &fits, error);
+    dipole_fits_free(fits);
     return good;
   }
   case WIRE_TYPE_FIT_LAYERS: {
-    dipole_layers_fit *fit;
+    dipole_layers_fit *fit = NULL;
     const dipole_layers_query layers = {.layers = media,
                                         .layer_count = 1,
                                         .unknowns = DIPOLE_SIGMA_A_1 | DIPOLE_SIGMA_S_1,
@@ -427,9 +423,8 @@ static bool ask(dipole_client *client, unsigned type, unsigned how, dipole_error
                                         .at = radii,
                                         .values = albedos,
                                         .errors = albedos};
-    if ((good = dipole_fit_layers(client, &layers, &fit, error))) {
-      dipole_layers_fit_free(fit);
-    }
+    good = dipole_fit_layers(client, &layers, &fit, error);
+    dipole_layers_fit_free(fit);
     return good;
   }
   case WIRE_TYPE_TISSUE: {
@@ -444,7 +439,7 @@ static bool ask(dipole_client *client, unsigned type, unsigned how, dipole_error
     return dipole_tissue(client, &tissue, found, error);
   }
   case WIRE_TYPE_FIT_TISSUE: {
-    dipole_tissue_fits *fits;
+    dipole_tissue_fits *fits = NULL;
     const dipole_parameter scattering[] = {{.id = 32, .value = 2}, {.id = 33, .value = 1}};
     const dipole_sought blood[] = {{.property = 1}, {.property = 2}};
     const dipole_tissue_fit_query fit = {.tissue = {0, DIPOLE_PRAHL, scattering, 2, radii, 2, 0},
@@ -459,13 +454,12 @@ static bool ask(dipole_client *client, unsigned type, unsigned how, dipole_error
                                          .values = albedos,
                                          .errors = albedos,
                                          .residuals = into};
-    if ((good = dipole_fit_tissue(client, &fit, &fits, error))) {
-      dipole_tissue_fits_free(fits);
-    }
+    good = dipole_fit_tissue(client, &fit, &fits, error);
+    dipole_tissue_fits_free(fits);
     return good;
   }
   case WIRE_TYPE_VARYING: {
-    dipole_varying_result *result;
+    dipole_varying_result *result = NULL;
     const dipole_varying_query varying = {.model = CORE_MODEL_BETTER,
                                           .evaluator = DIPOLE_F64,
                                           .moments = DIPOLE_EXACT,
@@ -476,9 +470,8 @@ static bool ask(dipole_client *client, unsigned type, unsigned how, dipole_error
                                           .sigma_s_per_mm = radii,
                                           .radii = radii,
                                           .value_count = query.medium_count};
-    if ((good = dipole_varying(client, &varying, &result, error))) {
-      dipole_varying_result_free(result);
-    }
+    good = dipole_varying(client, &varying, &result, error);
+    dipole_varying_result_free(result);
     return good;
   }
   case WIRE_TYPE_GATHER: {
@@ -500,7 +493,7 @@ static bool ask(dipole_client *client, unsigned type, unsigned how, dipole_error
     return good;
   }
   case WIRE_TYPE_MC: {
-    dipole_mc_result *result;
+    dipole_mc_result *result = NULL;
     const dipole_mc_query mc = {.medium = media[0],
                                 .albedos = albedos,
                                 .albedo_count = how >> 1 & 3,
@@ -510,43 +503,38 @@ static bool ask(dipole_client *client, unsigned type, unsigned how, dipole_error
                                 .ring_count = 2 + (how >> 4),
                                 .radius_stop_mm = 1,
                                 .photons = 8};
-    if ((good = dipole_mc(client, &mc, into ? see_progress : NULL, &limit, &result, error))) {
-      dipole_mc_result_free(result);
-    }
+    good = dipole_mc(client, &mc, into ? see_progress : NULL, &limit, &result, error);
+    dipole_mc_result_free(result);
     return good;
   }
   case WIRE_TYPE_TABLE: {
-    dipole_table *fetched;
+    dipole_table *fetched = NULL;
     const dipole_table_query asked = {
         .model = CORE_MODEL_BETTER, .moments = DIPOLE_EXACT, .medium = media[0]};
-    if ((good = dipole_table_fetch(client, &asked, &fetched, error))) {
-      dipole_table_free(fetched);
-    }
+    good = dipole_table_fetch(client, &asked, &fetched, error);
+    dipole_table_free(fetched);
     return good;
   }
   case WIRE_TYPE_OFFERS: {
-    dipole_offer *offers;
+    dipole_offer *offers = NULL;
     size_t count, taken;
     query.model = DIPOLE_ANY_MODEL;
-    if ((good = dipole_offers(client, &query, &offers, &count, &taken, error))) {
-      free(offers);
-    }
+    good = dipole_offers(client, &query, &offers, &count, &taken, error);
+    free(offers);
     return good;
   }
   case WIRE_TYPE_MEDIA: {
-    dipole_measured_medium *measured;
+    dipole_measured_medium *measured = NULL;
     size_t count;
-    if ((good = dipole_media(client, &measured, &count, error))) {
-      free(measured);
-    }
+    good = dipole_media(client, &measured, &count, error);
+    free(measured);
     return good;
   }
   case WIRE_TYPE_STATS: {
-    dipole_value *statistics;
+    dipole_value *statistics = NULL;
     size_t count;
-    if ((good = dipole_statistics(client, &statistics, &count, error))) {
-      free(statistics);
-    }
+    good = dipole_statistics(client, &statistics, &count, error);
+    free(statistics);
     return good;
   }
   case WIRE_TYPE_PING:
