@@ -1,12 +1,11 @@
 """`dipole --connect` with several addresses, and `--retry-ms`: daemons that start late, are lost,
 or stay busy."""
 
-import subprocess
 import threading
 
 import pytest
-from command_line import FAILED, PROGRAM, TIMEOUT_S, Proxy, Terminal, busy, dipole, eval_rows
-from daemons import Daemon, environment, eventually
+from command_line import FAILED, Proxy, Terminal, busy, dipole, eval_rows
+from daemons import Daemon
 
 ARGUMENTS = ("--sigma-a", "0.03", "--sigma-s", "1", "--r", "0.5,1,2")
 
@@ -49,28 +48,6 @@ def test_the_usual_time_is_enough_for_a_restart(tmp_path, known):
     finally:
         begin.join()
         late[0].close()
-
-
-@pytest.mark.parametrize("how", ["kill", "terminate"])
-def test_a_job_goes_on_elsewhere(daemon, how):
-    """libdipole asks another daemon for a job whose daemon ends, and gets the same bits."""
-    one, other = daemon(), daemon()
-    job = ("mc", "--sigma-a", "0.03", "--sigma-s", "1", "--photons", "4e6", "--format", "json")
-    known = dipole(*job, "--connect", other.url()).stdout
-    with subprocess.Popen(
-        [str(PROGRAM), *job, "--connect", f"{one.url()},{other.url()}"],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        env=environment(),
-        text=True,
-    ) as running:
-        with one.client() as watcher:
-            assert eventually(lambda: watcher.statistics()["mc_jobs_open"] == 1)
-        getattr(one, how)()
-        output, errors = running.communicate(timeout=TIMEOUT_S)
-    assert (running.returncode, errors) == (0, "")
-    assert output == known
-    assert other.client().statistics()["requests_mc"] == 2
 
 
 @pytest.mark.parametrize("command", ["eval", "points"])

@@ -188,7 +188,7 @@ def test_large_ones_are_refused_while_there_is_much_to_do(daemon, kind, large, f
         assert_serves(second)
 
 
-def test_values_with_media_of_their_own_are_admitted_and_timed(daemon):
+def test_values_with_media_of_their_own_are_admitted(daemon):
     """They are too fast to fill a backlog themselves."""
     one = daemon("--workers", "1", "--max-backlog-ms", "1", "--drain-timeout-ms", "100")
     with one.connect() as second:
@@ -196,9 +196,3 @@ def test_values_with_media_of_their_own_are_admitted_and_timed(daemon):
             refused = ask(second, VARYING, varying(60_000))
             assert_error(refused, "busy", "value_count", "max_backlog_ms")
             assert ask(second, VARYING, varying_payload()).type == VARYING | wire.REPLY
-    with daemon("--workers", "1").connect() as connection:
-        connection.send_bytes(frame(VARYING, 77, varying(2_000_000), 1))
-        while (reply := connection.receive_frame()).type == VARYING | wire.REPLY:
-            assert reply.request_id == 77  # a part that was complete in time
-        assert_error(reply, "deadline", "deadline_ms", "more")
-        assert_serves(connection)
