@@ -234,17 +234,18 @@ class Daemon:
         assert not any(fault in log for fault in faults), log
 
 
+def finished(*command: str | Path, **how) -> subprocess.CompletedProcess[str]:
+    """Runs a program to its end, with this process's environment() and no input unless `how` says
+    otherwise. Returns its status, and what it wrote as text."""
+    usual = {"env": environment(), "timeout": 3 * HANG_S, "capture_output": True, "text": True, "check": False}
+    if "input" not in how:
+        usual["stdin"] = subprocess.DEVNULL
+    return subprocess.run([*map(str, command)], **{**usual, **how})
+
+
 def run(*options: str, env: dict[str, str] | None = None) -> subprocess.CompletedProcess[str]:
     """Runs dipoled with options that make it end by itself."""
-    return subprocess.run(
-        [str(PROGRAM), *options],
-        stdin=subprocess.DEVNULL,
-        capture_output=True,
-        env=environment(**(env or {})),
-        text=True,
-        timeout=END_S,
-        check=False,
-    )
+    return finished(PROGRAM, *options, env=environment(**(env or {})), timeout=END_S)
 
 
 def eventually(condition, timeout_s: float = HANG_S, interval_s: float = 0.005) -> bool:

@@ -6,7 +6,7 @@ import subprocess
 from pathlib import Path
 
 import pytest
-from daemons import BUILD, REPOSITORY, environment
+from daemons import BUILD, REPOSITORY, environment, finished
 
 TIMEOUT_S = 600.0
 
@@ -14,16 +14,7 @@ TIMEOUT_S = 600.0
 def run(*command: str | Path, env: dict[str, str] | None = None, cwd: Path | None = None) -> str:
     """Runs a program, which must succeed and write nothing to standard error. Returns its standard
     output."""
-    done = subprocess.run(
-        list(map(str, command)),
-        stdin=subprocess.DEVNULL,
-        capture_output=True,
-        text=True,
-        env={**environment(), **(env or {})},
-        cwd=cwd or REPOSITORY,
-        timeout=TIMEOUT_S,
-        check=False,
-    )
+    done = finished(*command, cwd=cwd or REPOSITORY, env={**environment(), **(env or {})}, timeout=TIMEOUT_S)
     assert done.returncode == 0, f"{command}: {done.stdout}{done.stderr}"
     assert "warning" not in done.stderr.lower(), f"{command}: {done.stderr}"
     return done.stdout
@@ -56,8 +47,7 @@ def npm_install(folder: Path, packages: dict[str, str]) -> Path:
         wanted = [f"{name}@{version}" for name, version in packages.items()]
         options = ["--no-audit", "--no-fund", "--ignore-scripts", "--omit=optional"]
         try:
-            fetched = subprocess.run(["npm", "install", *options, *wanted], cwd=folder, text=True,
-                                     capture_output=True, timeout=TIMEOUT_S, check=False)
+            fetched = finished("npm", "install", *options, *wanted, cwd=folder, timeout=TIMEOUT_S)
             failure = fetched.stderr.strip()[-200:] if fetched.returncode else ""
         except subprocess.TimeoutExpired:
             failure = "it takes too long"

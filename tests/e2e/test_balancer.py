@@ -20,7 +20,7 @@ import dipole
 import numpy as np
 import pytest
 from beside import SoakLoad
-from daemons import BUILD, REPOSITORY, Daemon, environment, eventually
+from daemons import BUILD, REPOSITORY, Daemon, eventually, finished
 from frames import SKIN
 from modbus_master import Lost, Tcp, input_block, write_read_pdu
 from test_gather import positions, scene
@@ -256,10 +256,7 @@ class CommandLine(User):
     def ask(self) -> None:
         while not self.ended.is_set():
             for words in COMMANDS:
-                said = subprocess.run(
-                    [str(BUILD / "dipole"), *words, "--connect", self.address],
-                    capture_output=True, text=True, timeout=120, env=environment(), check=False,
-                )  # fmt: skip
+                said = finished(str(BUILD / "dipole"), *words, "--connect", self.address)
                 assert (said.returncode, said.stderr) == (0, ""), said
                 self.check(" ".join(words), said.stdout)
 

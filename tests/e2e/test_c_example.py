@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from daemons import BUILD, REPOSITORY, environment, sanitized
+from daemons import BUILD, REPOSITORY, environment, finished, sanitized
 from test_readme import blocks
 
 TIMEOUT_S = 300.0
@@ -52,9 +52,7 @@ class Installed:
         sanitize = ["-fsanitize=address,undefined"] if sanitized("asan") else []
         sanitize += ["-fsanitize=thread"] if sanitized("tsan") else []
         command = [*compiler, *sanitize, copy.name, "-o", program.name, *options]
-        done = subprocess.run(
-            command, cwd=program.parent, capture_output=True, text=True, check=False
-        )
+        done = finished(*command, cwd=program.parent)
         assert done.returncode == 0 and done.stderr == "", done.stderr
 
     def run(self, program: Path, *arguments: str) -> str:
@@ -65,18 +63,13 @@ class Installed:
 
     def start(self, *command: str, folder: Path) -> subprocess.CompletedProcess[str]:
         """Runs a command in a folder with the installed library and dipoled."""
-        return subprocess.run(
-            command,
-            cwd=folder,
+        return finished(
+            *command, cwd=folder,
             env={
                 **environment(),
                 "LD_LIBRARY_PATH": str(self._lib),
                 "PATH": f"{self.folder}/usr/local/bin:{os.environ['PATH']}",
-            },
-            capture_output=True,
-            text=True,
-            timeout=TIMEOUT_S,
-            check=False,
+            }
         )
 
 

@@ -9,24 +9,19 @@ comments. RECORD=1 in the environment writes what the commands print into the fi
 import math
 import os
 import re
-import subprocess
 from pathlib import Path
 
 import pytest
-from daemons import BUILD, REPOSITORY, environment
+from daemons import BUILD, REPOSITORY, environment, finished
 
 FOLDER = REPOSITORY / "tests/cli"
 NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?")
-TIMEOUT_S = 300
 
 
 def run(command: str, folder: Path) -> list[str]:
     """Returns what a command prints, as a file has it."""
     path = f"{BUILD}:{os.environ['PATH']}"
-    done = subprocess.run(
-        ["sh", "-c", command], cwd=folder, env=environment(PATH=path, NO_COLOR="1"),
-        capture_output=True, text=True, timeout=TIMEOUT_S, check=False, stdin=subprocess.DEVNULL,
-    )  # fmt: skip
+    done = finished("sh", "-c", command, cwd=folder, env=environment(PATH=path, NO_COLOR="1"))
     assert "Sanitizer" not in done.stderr, done.stderr
     lines = done.stdout.splitlines() + [f"! {line}" for line in done.stderr.splitlines()]
     return lines + ([f"? {done.returncode}"] if done.returncode else [])

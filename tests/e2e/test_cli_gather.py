@@ -7,7 +7,7 @@ import subprocess
 import numpy as np
 import pytest
 from command_line import PROGRAM, Proxy, busy
-from daemons import Daemon, environment
+from daemons import Daemon, finished
 from dipole import Client, Points, wire
 from frames import SKIN
 
@@ -51,10 +51,7 @@ def columns_of(text: str, channels: int) -> np.ndarray:
 
 
 def run(*words: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [str(PROGRAM), *words], capture_output=True, text=True, env=environment(), timeout=60,
-        check=False,
-    )
+    return finished(PROGRAM, *words)
 
 
 def gather(shared: Daemon, *words: str) -> subprocess.CompletedProcess[str]:

@@ -11,8 +11,8 @@ from pathlib import Path
 import dipole as dipole_module
 import numpy as np
 import pytest
-from command_line import FAILED, TIMEOUT_S, Proxy, Terminal, busy, dipole, eval_rows, read_csv
-from daemons import BUILD, REPOSITORY, environment
+from command_line import FAILED, Proxy, Terminal, busy, dipole, eval_rows, read_csv
+from daemons import BUILD, REPOSITORY, environment, finished
 from pictures import check_png, script, svg_lines, svg_texts
 
 SKIN = ["plot", "--medium", "skin1"]
@@ -177,14 +177,7 @@ def test_a_bar_with_rate_and_time_left(daemon):
 
 
 def run_demo(build: Path, folder: Path) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        ["sh", str(REPOSITORY / "clients" / "demo.sh"), str(build)],
-        capture_output=True,
-        env=environment(TMPDIR=str(folder)),
-        timeout=TIMEOUT_S,
-        text=True,
-        check=False,
-    )
+    return finished("sh", str(REPOSITORY / "clients" / "demo.sh"), build, env=environment(TMPDIR=str(folder)))
 
 
 @pytest.fixture

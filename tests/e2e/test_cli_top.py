@@ -11,7 +11,7 @@ import termios
 import pytest
 from beside import Beside
 from command_line import PROGRAM, TIMEOUT_S, Terminal, dipole, read_csv
-from daemons import environment
+from daemons import environment, finished
 from frames import EVAL, SKIN, ask, eval_payload
 from lists import MODELS
 
@@ -220,10 +220,7 @@ kill -CONT $!
 
 
 def test_the_installed_service_is_shown_unless_another_daemon_is_named():
-    run = subprocess.run(
-        ["unshare", "-rm", "bash", "-mc", SERVICE, str(PROGRAM.parent)], env=environment(),
-        capture_output=True, text=True, timeout=TIMEOUT_S, check=False,
-    )  # fmt: skip
+    run = finished("unshare", "-rm", "bash", "-mc", SERVICE, str(PROGRAM.parent))
     if run.returncode == 77 or "unshare failed" in run.stderr:
         pytest.skip("a file system of one's own cannot be mounted here")
     assert run.returncode == 0, run.stderr

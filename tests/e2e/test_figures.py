@@ -8,22 +8,16 @@ import sys
 from pathlib import Path
 
 import pytest
-from daemons import BUILD
+from daemons import BUILD, finished
 from pictures import svg_texts
 
 PROGRAM = Path(__file__).resolve().parents[2] / "core" / "tools" / "figures.py"
 
-TIMEOUT_S = 240
-
 
 def draw(folder: Path) -> None:
-    run = subprocess.run(
-        [sys.executable, str(PROGRAM), "--output", str(folder), "--photons", "100000"],
-        env=os.environ | {"DIPOLED": f"private:{BUILD}/dipoled"},
-        capture_output=True,
-        text=True,
-        timeout=TIMEOUT_S,
-        check=False,
+    run = finished(
+        sys.executable, PROGRAM, "--output", folder, "--photons", "100000",
+        env=os.environ | {"DIPOLED": f"private:{BUILD}/dipoled"}
     )
     assert (run.returncode, run.stderr) == (0, "")
 

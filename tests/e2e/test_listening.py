@@ -4,14 +4,13 @@ inherits."""
 import os
 import re
 import socket
-import stat
 import subprocess
 import urllib.request
 from pathlib import Path
 
 import dipole
 import pytest
-from daemons import BUILD, END_S, PROGRAM, environment, eventually, read_log_line, run, sanitized
+from daemons import BUILD, END_S, PROGRAM, environment, eventually, finished, read_log_line, run, sanitized
 from frames import EVAL, PING, ask, assert_serves, eval_payload, frame
 
 
@@ -230,10 +229,7 @@ def test_a_client_that_is_not_allowed_does_not_try_again(daemon):
     with pytest.raises(dipole.Refused, match="not-allowed: allow") as refused:
         one.client("tcp")
     assert refused.value.status == "not-allowed"
-    said = subprocess.run(
-        [BUILD / "dipole", "media", "--connect", one.url("tcp")],
-        capture_output=True, text=True, timeout=END_S, check=False,
-    )  # fmt: skip
+    said = finished(BUILD / "dipole", "media", "--connect", one.url("tcp"))
     assert said.returncode != 0 and "not-allowed: allow: allowed: addresses" in said.stderr
     with one.connect("tcp"):
         pass

@@ -8,7 +8,6 @@ import os
 import re
 import shutil
 import socket
-import subprocess
 import time
 import urllib.error
 import urllib.parse
@@ -16,7 +15,7 @@ import urllib.request
 from pathlib import Path
 
 import pytest
-from daemons import BUILD, REPOSITORY, eventually, read_log_line, run
+from daemons import BUILD, REPOSITORY, eventually, finished, read_log_line, run
 from frames import EVAL, SKIN, R, ask, assert_serves, eval_payload
 from lists import MODELS
 
@@ -366,9 +365,7 @@ def program(name: str) -> str:
 
 def promtool(*arguments: str, stdin: str = "") -> str:
     """Runs promtool, which checks metrics and rules. Returns what it says."""
-    run = subprocess.run(
-        [program("promtool"), *arguments], input=stdin, capture_output=True, text=True, timeout=60, check=False
-    )
+    run = finished(program("promtool"), *arguments, input=stdin)
     assert run.returncode == 0, run.stdout + run.stderr
     return run.stdout + run.stderr
 

@@ -13,7 +13,7 @@ from pathlib import Path
 import dipole
 import numpy as np
 import pytest
-from daemons import BUILD, Daemon, eventually
+from daemons import BUILD, Daemon, eventually, finished
 from installing import npm_install
 from modbus_master import AT, BAD_VALUE, TCP, Tcp, exception, floats, input_block, words
 
@@ -21,19 +21,12 @@ TOP = Path(__file__).parents[2]
 EXAMPLES = TOP / "clients/modbus"
 SUITE = Path("/usr/share/doc/libmodbus-dev/examples/random-test-client.c")
 RADII_MM = np.array([0.1, 0.2, 0.5, 1, 1.5, 2, 3, 4, 6, 8], np.float32)
-LIMIT_S = 60
 # The packages that npm fetches, if npm is installed: versions that are known to work.
 NODE_MODULES = {"modbus-serial": "8.0.25"}
 
 
 def needs(program: str):
     return pytest.mark.skipif(shutil.which(program) is None, reason=f"{program} is not installed")
-
-
-def run(*command: str, **options) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        command, capture_output=True, text=True, timeout=LIMIT_S, check=False, **options
-    )
 
 
 @pytest.fixture(scope="module")
@@ -105,7 +98,7 @@ def check_model(result: subprocess.CompletedProcess[str], model: int = 2) -> Non
 @needs("mbpoll")
 @pytest.mark.parametrize("line", ["address", "serial"])
 def test_mbpoll(request, line, expected):
-    done = run(str(EXAMPLES / "profile.sh"), request.getfixturevalue(line))
+    done = finished(str(EXAMPLES / "profile.sh"), request.getfixturevalue(line))
     check(done, expected, 6)
     check_model(done)
 
@@ -117,20 +110,20 @@ def test_mbpoll_begins_with_function_6(tmp_path):
     with serial_line(tmp_path) as far:
         for value in ("77", "77", "78"):
             options = ["-m", "rtu", "-b", "19200", "-P", "none", "-a", "1", "-0", "-q", "-r", "5"]
-            written = run("mbpoll", *options, str(far), value)
+            written = finished("mbpoll", *options, str(far), value)
             assert written.returncode == 0, written.stdout + written.stderr
-            assert f"[5]: \t{value}" in run("mbpoll", *options, "-1", str(far)).stdout
+            assert f"[5]: \t{value}" in finished("mbpoll", *options, "-1", str(far)).stdout
 
 
 @pytest.mark.parametrize("line", ["address", "serial"])
 def test_pymodbus(request, line, expected):
     pytest.importorskip("pymodbus")
     script = str(EXAMPLES / "profile.py")
-    done = run(sys.executable, script, request.getfixturevalue(line))
+    done = finished(sys.executable, script, request.getfixturevalue(line))
     check(done, expected, 9)
     check_model(done)
     tissue = ["29", "sigma_a=0.05", "sigma_s=9.5", "g=0.9", "eta=1.4", "r=0.1,1"]
-    done = run(sys.executable, script, request.getfixturevalue(line), *tissue)
+    done = finished(sys.executable, script, request.getfixturevalue(line), *tissue)
     np.testing.assert_allclose(values_of(done.stdout), [0.14494, 0.016164], rtol=1e-3)
 
 
@@ -142,7 +135,7 @@ def node_modules():
 
 def test_node(address, expected, node_modules):
     environment = {**os.environ, "NODE_PATH": str(node_modules)}
-    check(run("node", str(EXAMPLES / "profile.js"), address, env=environment), expected, 9)
+    check(finished("node", str(EXAMPLES / "profile.js"), address, env=environment), expected, 9)
 
 
 # ---- units that other masters have used ----------------------------------------------------------
@@ -168,7 +161,7 @@ def example(request):
             pytest.skip("mbpoll is not installed")
         command = ["sh"]
     command.append(str(EXAMPLES / name))
-    return lambda *arguments: run(*command, *arguments, env=environment), SCRIPTS[name]
+    return lambda *arguments: finished(*command, *arguments, env=environment), SCRIPTS[name]
 
 
 ODD = {
@@ -231,7 +224,7 @@ def test_an_example_says_why_it_fails(daemon, example):
 def job(one: Daemon, name: str) -> subprocess.CompletedProcess[str]:
     pytest.importorskip("pymodbus")
     address = one.url("modbus-tcp").removeprefix("modbus-tcp:")
-    return run(sys.executable, str(EXAMPLES / "jobs.py"), address, name)
+    return finished(sys.executable, str(EXAMPLES / "jobs.py"), address, name)
 
 
 def test_the_jobs_of_an_odd_unit(daemon):
@@ -285,7 +278,7 @@ def noisy_readings(slave) -> list[str]:
 
 def fit(address: str, *words: str) -> subprocess.CompletedProcess[str]:
     pytest.importorskip("pymodbus")
-    return run(sys.executable, str(EXAMPLES / "jobs.py"), address, "fit", *words)
+    return finished(sys.executable, str(EXAMPLES / "jobs.py"), address, "fit", *words)
 
 
 def test_instruments_fit_noisy_monte_carlo(address, noisy_readings):
@@ -311,7 +304,7 @@ def test_examples_know_their_words(request, address, name):
     nobody = "127.0.0.1:1"
 
     def ask(*words: str) -> subprocess.CompletedProcess[str]:
-        return run(tool, str(EXAMPLES / name), *words, env=environment)
+        return finished(tool, str(EXAMPLES / name), *words, env=environment)
 
     for words in (["--help"], [nobody, "fit", "-h"]):
         told = ask(*words)
@@ -389,11 +382,11 @@ def test_libmodbus_random_test_client(address, tmp_path):
     elsewhere.write_text(
         f"#include <modbus.h>\n#define modbus_new_tcp(ip, port) modbus_new_tcp(ip, {port})\n"
     )
-    flags = run("pkg-config", "--cflags", "--libs", "libmodbus").stdout.split()
+    flags = finished("pkg-config", "--cflags", "--libs", "libmodbus").stdout.split()
     program = tmp_path / "random-test-client"
-    compiled = run("cc", "-include", str(elsewhere), str(SUITE), "-o", str(program), *flags)
+    compiled = finished("cc", "-include", str(elsewhere), str(SUITE), "-o", str(program), *flags)
     assert compiled.returncode == 0, compiled.stderr
-    result = run(str(program))
+    result = finished(str(program))
     assert "Test: SUCCESS" in result.stdout, result.stdout[-2000:]
 
 
@@ -401,7 +394,7 @@ def test_libmodbus_random_test_client(address, tmp_path):
 def test_nmap_prints_the_identification(slave, address):
     port = address.rpartition(":")[2]
     script = ["--script", "+modbus-discover"]
-    result = run("nmap", "-Pn", "-n", "-p", port, *script, "127.0.0.1")
+    result = finished("nmap", "-Pn", "-n", "-p", port, *script, "127.0.0.1")
     assert result.returncode == 0, result.stderr
     assert "Slave ID data" in result.stdout and "Device identification" in result.stdout
     with slave.client() as client:

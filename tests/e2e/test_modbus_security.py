@@ -37,11 +37,10 @@ import re
 import socket
 import ssl
 import struct
-import subprocess
 
 import pytest
 from certificates import EC, Authority, openssl
-from daemons import run
+from daemons import finished, run
 from modbus_master import (
     AT, BAD_FUNCTION, Exception_, Lost, Tcp, as_floats, input_block, write_read_pdu,
 )
@@ -131,9 +130,7 @@ def outcome(master: Tcp, pdu: bytes) -> int:
 def s_client(slave, *arguments: object, said: str = "") -> str:
     """Runs openssl's client, and returns what it prints."""
     words = ["openssl", "s_client", "-connect", f"127.0.0.1:{port_of(slave)}", *map(str, arguments)]
-    ended = subprocess.run(
-        words, input=said, capture_output=True, text=True, timeout=20, check=False
-    )  # fmt: skip
+    ended = finished(*words, input=said)
     return ended.stdout + ended.stderr
 
 
@@ -227,9 +224,7 @@ async def ask():
 asyncio.run(ask())
 """
     words = [str(port_of(one)), str(authority.pem), certificate, key]
-    said = subprocess.run(
-        ["/usr/bin/python3", "-c", script, *words], capture_output=True, text=True, timeout=60, check=False
-    )  # fmt: skip
+    said = finished("/usr/bin/python3", "-c", script, *words)
     if "No module named 'pymodbus'" in said.stderr:
         pytest.skip("pymodbus is not installed")
     assert (said.returncode, said.stdout) == (0, "[17481, 20556]\n"), said.stderr

@@ -4,7 +4,6 @@ import csv
 import io
 import os
 import re
-import subprocess
 import sys
 import urllib.request
 from pathlib import Path
@@ -14,7 +13,7 @@ import dipole
 import numpy as np
 import pytest
 from browser import Browser, browser  # noqa: F401  (a fixture)
-from daemons import BUILD, REPOSITORY, Daemon, environment, eventually, sanitized
+from daemons import BUILD, REPOSITORY, Daemon, environment, eventually, finished, sanitized
 from modbus_master import AT, Tcp, as_doubles, as_floats, words
 
 PICTURES = BUILD / "page"
@@ -126,9 +125,10 @@ def page(browser, served):  # noqa: F811
 def dipole_shell(daemon, commands: str, folder: Path) -> str:
     """Runs commands that somebody has copied. Returns their output."""
     (folder / "dipole").symlink_to(BUILD / "dipole")
-    done = subprocess.run(
-        ["sh", "-c", commands], capture_output=True, text=True, timeout=LIMIT_S, check=False,
-        env=environment(DIPOLED=daemon.url(), PATH=f"{folder}:{os.environ['PATH']}"))
+    done = finished(
+        "sh", "-c", commands,
+        env=environment(DIPOLED=daemon.url(), PATH=f"{folder}:{os.environ['PATH']}")
+    )
     assert done.returncode == 0, done.stderr
     return done.stdout
 
@@ -561,8 +561,7 @@ ELSEWHERE = "medium=skin1&models=transport+better+multipole&thickness=2.5&r=0.25
 
 def assert_says_what_is_shown(page, served, folder: Path, *command: str, **variables: str) -> None:
     """Runs a program that was copied from the page; it prints the values of the page."""
-    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=LIMIT_S,
-                          env=environment(DIPOLED=served.url(), **variables), check=False)
+    done = finished(*command, cwd=folder, env=environment(DIPOLED=served.url(), **variables))
     assert done.returncode == 0, done.stderr
     lines = {line.split()[0]: line.split()[1:] for line in done.stdout.splitlines()}
     for model, texts in page.values().items():
@@ -587,10 +586,10 @@ def test_c(page, served, tmp_path):
     (tmp_path / "program.c").write_text(page.code("c"))
     sanitize = ["-fsanitize=address,undefined"] if sanitized("asan") else []
     sanitize += ["-fsanitize=thread"] if sanitized("tsan") else []
-    built = subprocess.run(
-        ["gcc", "-Wall", "-Wextra", "-Werror", *sanitize, "program.c", "-o", "program",
-         f"-I{REPOSITORY}/clients/c", f"-L{BUILD}", f"-Wl,-rpath,{BUILD}", "-ldipole"],
-        cwd=tmp_path, capture_output=True, text=True, timeout=LIMIT_S, check=False)
+    built = finished(
+        "gcc", "-Wall", "-Wextra", "-Werror", *sanitize, "program.c", "-o", "program",
+        f"-I{REPOSITORY}/clients/c", f"-L{BUILD}", f"-Wl,-rpath,{BUILD}", "-ldipole", cwd=tmp_path
+    )
     assert built.returncode == 0, built.stderr
     assert_says_what_is_shown(page, served, tmp_path, "./program")
 
@@ -604,8 +603,7 @@ def test_http(page, tmp_path):
     page.open(ELSEWHERE)
     commands = page.code("http").splitlines()
     for (model, texts), command in zip(page.values().items(), commands, strict=True):
-        done = subprocess.run(["sh", "-c", command.replace("curl", "curl -sf", 1)],
-                              capture_output=True, text=True, timeout=LIMIT_S, check=False)
+        done = finished("sh", "-c", command.replace("curl", "curl -sf", 1))
         assert f'"model":"{model}"' in done.stdout
         listed = re.search(r'"R":\[([^]]*)\]', done.stdout)[1].split(",")
         assert bits(listed, model == "transport") == bits(texts, model == "transport")

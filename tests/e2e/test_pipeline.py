@@ -6,7 +6,7 @@ import os
 import re
 import subprocess
 
-from daemons import BUILD, Daemon, sanitized
+from daemons import BUILD, Daemon, finished, sanitized
 
 PROGRAM = str(BUILD / "soak-load")
 TIMEOUT_S = 300.0
@@ -23,8 +23,7 @@ def test_each_answer_is_matched(daemon):
     usual = 20_000 if sanitized() else 200_000
     requests = int(os.environ.get("PIPELINE_REQUESTS") or usual)
     command = [PROGRAM, daemon().url(), "1", "short", str(requests)]
-    timeout_s = TIMEOUT_S + requests / 1000
-    run = subprocess.run(command, capture_output=True, text=True, timeout=timeout_s, check=False)
+    run = finished(*command, timeout=TIMEOUT_S + requests / 1000)
     print(run.stdout)
     check_output(run.stdout, run.stderr, run.returncode, requests)
 

@@ -4,11 +4,10 @@ with daemons is measured by `make check-plan`."""
 import importlib.util
 import math
 import re
-import subprocess
 
 import numpy as np
 import pytest
-from daemons import BUILD, REPOSITORY, environment
+from daemons import BUILD, REPOSITORY, environment, finished
 
 COUNT, RUNS = 400_000, 8
 
@@ -86,11 +85,10 @@ def test_the_command_prints_both_tables(tmp_path):
     file = tmp_path / "tables.md"
     file.write_text("before\n<!-- plan -->\nold\n<!-- end of plan -->\nbehind\n")
     words = ["--seconds", "0.05", "--nodes", "2e3", "--write", str(file)]
-    said = subprocess.run(
-        ["/usr/bin/python3", str(REPOSITORY / "tests/plan.py"), *words],
-        env=environment(TESTED_BUILD=str(BUILD), PYTHONPATH=str(REPOSITORY / "clients/python")),
-        capture_output=True, text=True, timeout=120, check=False,
-    )  # fmt: skip
+    said = finished(
+        "/usr/bin/python3", str(REPOSITORY / "tests/plan.py"), *words,
+        env=environment(TESTED_BUILD=str(BUILD), PYTHONPATH=str(REPOSITORY / "clients/python"))
+    )
     assert said.returncode == 0, said.stderr
     text = file.read_text()
     assert said.stdout.strip() in text and "old" not in text

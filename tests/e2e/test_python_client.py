@@ -16,7 +16,7 @@ from pathlib import Path
 import dipole
 import numpy as np
 import pytest
-from daemons import BUILD, PROGRAM, REPOSITORY, environment
+from daemons import BUILD, PROGRAM, REPOSITORY, environment, finished
 from dipole import Grid, Medium, wire
 from dipole import connection as connections
 from frames import PING, SKIN, frame
@@ -194,12 +194,9 @@ def test_the_version_is_that_of_the_daemon(client):
     ],
 )
 def test_an_unfit_python_is_told_what_to_do(before, said):
-    run = subprocess.run(
-        [sys.executable, "-c", f"import sys; {before}; import dipole"],
-        env=environment(PYTHONPATH=str(REPOSITORY / "clients/python")),
-        capture_output=True,
-        text=True,
-        check=False,
+    run = finished(
+        sys.executable, "-c", f"import sys; {before}; import dipole",
+        env=environment(PYTHONPATH=str(REPOSITORY / "clients/python"))
     )
     assert run.returncode == 1
     assert re.match(f"ImportError: dipole needs {said}", run.stderr.splitlines()[-1])
@@ -369,9 +366,7 @@ def run_in_clone(folder: Path, has_build: bool, **variables: str):
     program = "import dipole\nwith dipole.Client() as client: print(client.info.address)"
     env = environment(PYTHONPATH=str(folder / "clients/python"), PATH="", **variables)
     command = [sys.executable, "-c", program]
-    return subprocess.run(
-        command, cwd=folder, env=env, capture_output=True, text=True, check=False
-    )
+    return finished(*command, cwd=folder, env=env)
 
 
 def test_daemon_of_a_clone(tmp_path):
@@ -623,12 +618,11 @@ def test_calls_have_signatures(client, tmp_path):
     awaited = [one for one in calls if not one.startswith(("submit", "eval_parts"))]
     lines = [f"    c.{one}" for one in calls] + [f"    await a.{one}" for one in awaited]
     (tmp_path / "calls.py").write_text(text + "\n".join(lines) + "\n")
-    checked = subprocess.run(
-        [sys.executable, "-m", "mypy", "--strict", "--enable-incomplete-feature=Unpack",
-         "--cache-dir", str(BUILD / "mypy"), "calls.py"],
-        cwd=tmp_path, env=environment(MYPYPATH=str(REPOSITORY / "clients/python")),
-        capture_output=True, text=True, timeout=300, check=False,
-    )  # fmt: skip
+    checked = finished(
+        sys.executable, "-m", "mypy", "--strict", "--enable-incomplete-feature=Unpack",
+        "--cache-dir", str(BUILD / "mypy"), "calls.py", cwd=tmp_path,
+        env=environment(MYPYPATH=str(REPOSITORY / "clients/python"))
+    )
     if "No module named mypy" in checked.stderr:
         pytest.skip("mypy is not installed")
     found = {int(line.split(":")[1]) - 5 for line in checked.stdout.splitlines() if ": error: " in line}

@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from daemons import finished
 
 EXAMPLES = Path(__file__).parents[2] / "clients/python/examples"
 
@@ -19,14 +20,7 @@ def run_example(
     (folder / "sitecustomize.py").write_text("\n".join(before))
     paths = [str(folder), str(EXAMPLES.parent)]
     environment = {**os.environ, "DIPOLED": shared.url(), "PYTHONPATH": os.pathsep.join(paths)}
-    return subprocess.run(
-        [sys.executable, str(EXAMPLES / f"{name}.py"), str(folder / "skin.png")],
-        env=environment,
-        capture_output=True,
-        text=True,
-        timeout=120,
-        check=False,
-    )
+    return finished(sys.executable, str(EXAMPLES / f"{name}.py"), str(folder / "skin.png"), env=environment)
 
 
 def check_numbers(shared, output: str) -> None:

@@ -4,7 +4,7 @@ and tests/cli/eval.t has them in every format."""
 
 import numpy as np
 import pytest
-from command_line import Proxy, dipole, eval_json, eval_rows
+from command_line import Proxy, eval_json, eval_rows
 from dipole import Medium, Refused, wire
 from frames import SKIN, changed_choices
 

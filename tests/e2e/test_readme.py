@@ -9,14 +9,12 @@ import sys
 from pathlib import Path
 
 import pytest
-from daemons import BUILD, environment
+from daemons import BUILD, environment, finished
 
 TOP = Path(__file__).parents[2]
 sys.path.insert(0, str(TOP / "tests"))
 
 import structure  # noqa: E402  (needs the path above)
-
-LIMIT_S = 120
 
 
 def blocks() -> list[str]:
@@ -54,15 +52,7 @@ def folder(tmp_path):
 
 
 def run(command: str, folder: Path, **variables: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        ["sh", "-c", command],
-        cwd=folder,
-        env=environment(**variables),
-        capture_output=True,
-        text=True,
-        timeout=LIMIT_S,
-        check=False,
-    )
+    return finished("sh", "-c", command, cwd=folder, env=environment(**variables))
 
 
 def test_shell(folder):

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import dipole
 import pytest
-from daemons import END_S, PROGRAM, START_S, environment, run
+from daemons import END_S, PROGRAM, START_S, finished, run
 from frames import PING, assert_serves, frame
 
 
@@ -38,16 +38,7 @@ def passing(*sockets: socket.socket, count: int | None = None) -> dict:
 def start(*sockets: socket.socket, **how) -> subprocess.CompletedProcess[str]:
     """Runs a daemon that ends by itself."""
     passed = passing(*sockets, **how)
-    return subprocess.run(
-        [*passed["prefix"], str(PROGRAM)],
-        pass_fds=passed["pass_fds"],
-        stdin=subprocess.DEVNULL,
-        capture_output=True,
-        env=environment(),
-        text=True,
-        timeout=END_S,
-        check=False,
-    )
+    return finished(*passed["prefix"], PROGRAM, pass_fds=passed["pass_fds"])
 
 
 @pytest.fixture

@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from daemons import REPOSITORY
+from daemons import REPOSITORY, finished
 
 sys.path.insert(0, str(REPOSITORY / "tests"))
 
@@ -25,7 +25,7 @@ def copy(tmp_path) -> Path:
 def report(root: Path) -> tuple[int, list[str]]:
     """Runs structure.py. Returns its exit status, and the lines that name circles."""
     command = [sys.executable, str(REPOSITORY / "tests/structure.py"), str(root)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    done = finished(*command)
     return done.returncode, [line for line in done.stdout.splitlines() if "->" in line]
 
 
@@ -77,7 +77,7 @@ def test_programs_compile_for_32_bits():
     options = ["-m32", "-idirafter", "/usr/include/x86_64-linux-gnu", *packages.stdout.split()]
     options += ["-std=c17", "-Wall", "-Wextra", "-Wno-missing-field-initializers", "-Werror", "-D_GNU_SOURCE", "-DDIPOLED_VERSION=\"\""]
     command = ["gcc", *options, "-I.", "-fsyntax-only", *files]
-    done = subprocess.run(command, cwd=REPOSITORY, capture_output=True, text=True, check=False)
+    done = finished(*command, cwd=REPOSITORY)
     assert done.returncode == 0, done.stderr
 
 

@@ -20,7 +20,7 @@ import numpy as np
 import pytest
 from beside import Beside
 from certificates import FLOODS, Authority, Recorder
-from daemons import BUILD, END_S, PROGRAM, environment, eventually, run, sanitized
+from daemons import BUILD, PROGRAM, environment, eventually, finished, run, sanitized
 from dipole import wire
 from frames import PING, SKIN, assert_error, assert_serves, frame
 from messages import ROLES, SAMPLES, receive_answer, refusal
@@ -111,10 +111,7 @@ def test_command_line_and_its_environment(farm, ours):
     words = ["eval", "--medium", "skin1", "--model", "better", "--r", "0.5,1", "--format", "csv"]
 
     def ask(*arguments: str, **variables: str):
-        return subprocess.run(
-            [BUILD / "dipole", *words, *arguments], env=environment(**variables),
-            capture_output=True, text=True, timeout=END_S, check=False,
-        )  # fmt: skip
+        return finished(BUILD / "dipole", *words, *arguments, env=environment(**variables))
 
     private = ask("--connect", f"private:{PROGRAM}").stdout
     files = [text for name, value in ours.items() for text in (f"--{name}", value)]
@@ -151,10 +148,7 @@ def test_allow_holds_for_tls(daemon, server, ours):
 def media(url: str, files: dict[str, str]) -> str:
     """Returns what `dipole media` says that cannot connect."""
     words = [text for name, value in files.items() for text in (f"--{name}", value)]
-    ended = subprocess.run(
-        [BUILD / "dipole", "media", "--connect", url, *words],
-        capture_output=True, text=True, timeout=END_S, check=False, env=environment(),
-    )  # fmt: skip
+    ended = finished(BUILD / "dipole", "media", "--connect", url, *words)
     assert ended.returncode == 1
     return ended.stderr
 
