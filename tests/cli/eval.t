@@ -475,6 +475,11 @@ model,channel,layers,r,R,albedo,numerical_error,model_error,evaluator,notes
 transport,1,"2,5,0.8,1.4,0.05 0.1,10,0.8,1.33",1,0.0180...,0.268918...,0,f64,
 transport,1,"2,5,0.8,1.4,0.05 0.1,10,0.8,1.33",2,0.00322...,0.268918...,0,f64,
 
+$ dipole eval --model transport $(for i in 1 2 3 4 5 6 7 8 9; do echo --layer 1,1,0,1.4,1; done)
+! dipole eval: --layer: 9 layers: give at most 8
+! `dipole eval --help` says more.
+? 2
+
 $ dipole table --layer 2,5,0.8,1.4,0.05 --layer 0.1,10,0.8,1.33 --tolerance 0.1 --output layers.dt > /dev/null; dipole eval --table layers.dt --r 1 --format csv
 model,channel,layers,r,R,albedo,numerical_error,model_error,evaluator,notes
 transport,1,"2,5,0.8,1.4,0.05 0.1,10,0.8,1.33",1,0.018...,0.268...,0,lut,

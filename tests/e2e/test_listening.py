@@ -246,7 +246,7 @@ def start_with_fd(one: socket.socket, *options: str) -> subprocess.Popen[str]:
         pass_fds=[one.fileno()],
         stdin=subprocess.DEVNULL,
         stderr=subprocess.PIPE,
-        env=environment(),
+        env=environment(DIPOLED_HTTP="no address, which it ignores"),
         text=True,
     )
 
@@ -269,7 +269,7 @@ def receive(one: socket.socket, reply_bytes: int) -> bytes:
 def test_fd_serves_and_ends_with_the_connection(shared):
     ours, theirs = socket.socketpair()
     with theirs:
-        process = start_with_fd(theirs)
+        process = start_with_fd(theirs, "--workers", "1")
     with shared.connect() as connection:
         expected = ask(connection, EVAL, eval_payload(), request_id=5).payload
     reply = exchange(ours, frame(EVAL, 5, eval_payload()), 24 + len(expected))

@@ -116,6 +116,8 @@ def test_shapes(client):
     strided = np.linspace(0, 5, 14, dtype=np.float32)[::2]
     assert table.pdf(strided).tobytes() == table.pdf(strided.copy()).tobytes()
     assert table.numerical_error([0.0, math.inf]).shape == (2,)
+    far = client.eval("better", SKIN, [50.0], evaluator="lut").numerical_error()
+    assert table.numerical_error(50.0) == far[0, 0] > table.errors(50.0).numerical_error_constant
     for wrong in (-1.0, math.nan, [1.0, -1e-40]):
         with pytest.raises(dipole.ArgumentError):
             table.R(wrong)

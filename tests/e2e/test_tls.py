@@ -307,6 +307,7 @@ def test_roles_by_subject_and_by_extension(daemon, authority, server, ours, tmp_
         (", *", "line 1: write roles first"),
         ("read:300-420 *", "line 1: write roles first"),
         ("evaluate " + "x" * 3000, "line 1: the line is too long"),
+        ("evaluate *\n" * 1002, "line 1001: the file has too many lines"),
     ],
 )
 def test_wrong_files_of_roles(server, tmp_path, text, said):
