@@ -9,10 +9,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from daemons import BUILD, REPOSITORY, environment, finished, sanitized
+from daemons import REPOSITORY, environment, finished, sanitized
+from installing import make, run
 from test_readme import blocks
 
-TIMEOUT_S = 300.0
 SIDE_MM = np.float32(20)
 
 
@@ -21,14 +21,7 @@ class Installed:
 
     def __init__(self, folder: Path):
         self.folder = folder
-        build = os.path.relpath(BUILD, REPOSITORY)
-        subprocess.run(
-            ["make", "install", f"DESTDIR={folder}", "PREFIX=/usr/local", f"BUILD={build}"],
-            cwd=REPOSITORY,
-            check=True,
-            capture_output=True,
-            timeout=TIMEOUT_S,
-        )
+        make("install", DESTDIR=folder, PREFIX="/usr/local")
         self._lib = folder / "usr/local/lib"
 
     def compile(self, compiler: list[str], source: Path, program: Path) -> None:
@@ -36,18 +29,8 @@ class Installed:
         sanitizer."""
         copy = program.parent / source.name
         shutil.copy(source, copy)
-        found = subprocess.run(
-            ["pkg-config", "--cflags", "--libs", "dipole"],
-            env={
-                **environment(),
-                "PKG_CONFIG_LIBDIR": str(self._lib / "pkgconfig"),
-                "PKG_CONFIG_SYSROOT_DIR": str(self.folder),
-            },
-            check=True,
-            capture_output=True,
-            text=True,
-        )
-        options = found.stdout.split()
+        places = {"PKG_CONFIG_LIBDIR": str(self._lib / "pkgconfig"), "PKG_CONFIG_SYSROOT_DIR": str(self.folder)}
+        options = run("pkg-config", "--cflags", "--libs", "dipole", env=places).split()
         assert f"-I{self.folder}/usr/local/include" in options, options
         sanitize = ["-fsanitize=address,undefined"] if sanitized("asan") else []
         sanitize += ["-fsanitize=thread"] if sanitized("tsan") else []
@@ -63,14 +46,8 @@ class Installed:
 
     def start(self, *command: str, folder: Path) -> subprocess.CompletedProcess[str]:
         """Runs a command in a folder with the installed library and dipoled."""
-        return finished(
-            *command, cwd=folder,
-            env={
-                **environment(),
-                "LD_LIBRARY_PATH": str(self._lib),
-                "PATH": f"{self.folder}/usr/local/bin:{os.environ['PATH']}",
-            }
-        )
+        path = f"{self.folder}/usr/local/bin:{os.environ['PATH']}"
+        return finished(*command, cwd=folder, env=environment(LD_LIBRARY_PATH=str(self._lib), PATH=path))
 
 
 @pytest.fixture(scope="module")

@@ -1,10 +1,8 @@
 """`dipole`: help, versions, and wrong command lines."""
 
-import subprocess
-
 import pytest
-from command_line import FAILED, PROGRAM, TIMEOUT_S, dipole
-from daemons import BUILD, environment
+from command_line import FAILED, PROGRAM, dipole
+from daemons import BUILD, finished
 
 COMMANDS = [
     "eval", "plot", "points", "sample", "invert", "fit", "texture", "table", "mc", "media", "info",
@@ -61,13 +59,7 @@ OUTPUTS = {
 def test_output_that_cannot_be_written_is_a_failure(shared, name, closing):
     command = [str(word) for word in OUTPUTS[name]]
     command += [shared.url("tcp")] if command[-1] == "--connect" else []
-    run = subprocess.run(
-        ["sh", "-c", f'exec "$@" {closing}', "sh", *command],
-        capture_output=True,
-        env=environment(),
-        timeout=TIMEOUT_S,
-        check=False,
-    )
+    run = finished("sh", "-c", f'exec "$@" {closing}', "sh", *command, text=False)
     failed = closing[0] == ">"
     assert run.returncode == (FAILED if failed else 0) and bool(run.stdout) == (not failed)
     assert (b"cannot write" in run.stderr) == (failed and "2>" not in closing)

@@ -11,7 +11,7 @@ from command_line import (
     BAD_ROWS, FAILED, PROGRAM, TIMEOUT_S, Proxy, Terminal, busy, dipole, points, read_csv,
     scratch,
 )
-from daemons import environment
+from daemons import environment, finished
 
 HEADER = "sigma_a,sigma_s,g,eta,r"
 ROW = "0.01,1,0,1.4,2"
@@ -81,15 +81,9 @@ def test_memory_is_bounded(tmp_path):
     plain = [str(PROGRAM), "media"]
     sizes = {}
     for name, command in (("plain", plain), ("wide", [str(PROGRAM), "points", str(path)])):
-        run = subprocess.run(
-            ["/usr/bin/python3", "-c", code, *command],
-            capture_output=True,
-            # The address sanitizer keeps freed memory for a while, unless told otherwise.
-            env=environment(ASAN_OPTIONS="quarantine_size_mb=1:thread_local_quarantine_size_kb=64"),
-            timeout=TIMEOUT_S,
-            check=True,
-            text=True,
-        )
+        # The address sanitizer keeps freed memory for a while, unless told otherwise.
+        env = environment(ASAN_OPTIONS="quarantine_size_mb=1:thread_local_quarantine_size_kb=64")
+        run = finished("/usr/bin/python3", "-c", code, *command, env=env)
         kilobytes, status = map(int, run.stdout.split())
         assert status == 0
         sizes[name] = kilobytes

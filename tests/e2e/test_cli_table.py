@@ -1,12 +1,10 @@
 """`dipole table`, and `dipole eval` with the evaluator lut: from a daemon, and from a file without
 a daemon."""
 
-import subprocess
-
 import dipole as python_client
 import pytest
-from command_line import FAILED, PROGRAM, TIMEOUT_S, Terminal, dipole, eval_rows
-from daemons import environment
+from command_line import FAILED, PROGRAM, Terminal, dipole, eval_rows
+from daemons import finished
 
 MEDIUM = ["--sigma-a", "0.032", "--sigma-s", "0.74"]  # SKIN
 MEDIA = ["--sigma-a", "0.032,0.17,0.48", "--sigma-s", "0.74,0.88,1.01"]
@@ -29,13 +27,7 @@ def test_output_is_what_python_reads(client, tmp_path):
     assert [table.medium.sigma_a for table in tables] == [0.032, 0.17, 0.48]
     for table in tables:
         assert table.words.tolist() == client.table("better", table.medium).words.tolist()
-    run = subprocess.run(
-        [str(PROGRAM), "table", "--model", "better", *MEDIA, "--output", "-"],
-        capture_output=True,
-        env=environment(),
-        timeout=TIMEOUT_S,
-        check=True,
-    )
+    run = finished(PROGRAM, "table", "--model", "better", *MEDIA, "--output", "-", text=False)
     with open(path, "rb") as file:
         assert run.stdout == file.read()
 

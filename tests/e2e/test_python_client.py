@@ -416,9 +416,7 @@ with dipole.Client({address!r}) as client:
     python = [sys.executable, "-c", program]
     shell = ["sh", "-c", f'exec "$@" {closing}', "sh", *python]
     path = os.pathsep.join(sys.path)
-    run = subprocess.run(
-        shell, env=environment(PYTHONPATH=path), capture_output=True, timeout=60, check=False
-    )
+    run = finished(*shell, env=environment(PYTHONPATH=path))
     assert run.returncode == 0 and done.exists(), run.stderr
 
 

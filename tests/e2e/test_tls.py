@@ -19,7 +19,7 @@ import dipole
 import numpy as np
 import pytest
 from beside import Beside
-from certificates import FLOODS, Authority, Recorder
+from certificates import FLOODS, Authority, Recorder, openssl
 from daemons import BUILD, PROGRAM, environment, eventually, finished, run, sanitized
 from dipole import wire
 from frames import PING, SKIN, assert_error, assert_serves, frame
@@ -222,10 +222,7 @@ def test_wrong_files(authority, server, ours, files, said):
 
 def test_a_key_with_a_password_asks_nobody(farm, server, ours, tmp_path):
     locked = str(tmp_path / "locked.key")
-    subprocess.run(
-        ["openssl", "ec", "-in", server[1], "-aes128", "-passout", "pass:secret", "-out", locked],
-        check=True, capture_output=True,
-    )  # fmt: skip
+    openssl("ec", "-in", server[1], "-aes128", "-passout", "pass:secret", "-out", locked)
     ended = run("--listen", "tls:127.0.0.1:0", "--certificate", server[0], "--key", locked)
     assert ended.returncode == 1 and f"dipoled: {locked}: the key has a password" in ended.stderr
     files = {**ours, "key": locked}
