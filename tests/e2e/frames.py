@@ -41,7 +41,6 @@ def header(**changes: int) -> bytes:
 
 
 def frame(type: int, request_id: int, payload: bytes = b"", deadline_ms: int = 0) -> bytes:
-    """Makes a frame."""
     fields = {"request_id": request_id, "deadline_ms": deadline_ms}
     return header(type=type, payload_bytes=len(payload), **fields) + payload
 
@@ -114,7 +113,6 @@ def sample_payload(media=(SKIN,), u=(0.25, 0.5), parameters=(), **fixed: int) ->
 
 
 def invert_payload(albedos=(0.5, 0.9), lengths=(1.0, 2.0), **fixed: float) -> bytes:
-    """Makes an invert request."""
     fields = {"medium_count": len(albedos)} | fixed
     return packed(wire.INVERT_REQUEST, fields, f64_bytes(albedos, lengths))
 
@@ -132,7 +130,6 @@ def varying_payload(media=((0.032, 0.74), (0.1, 1.0)), numbers=(0.5, 1.0), param
 
 
 def table_payload(medium=SKIN, parameters=(), **fixed: int) -> bytes:
-    """Makes a table request."""
     fields = {"parameter_count": len(parameters)} | fixed
     return packed(wire.TABLE_REQUEST, fields, media_bytes([medium]), parameters_bytes(parameters))
 

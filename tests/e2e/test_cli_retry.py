@@ -16,18 +16,6 @@ def known():
     return eval_rows(*ARGUMENTS)
 
 
-def ends_the_connection(_number: int, _request_id: int) -> bool:
-    return False
-
-
-def test_the_next_address_is_taken(daemon, tmp_path, known):
-    url = daemon().url()
-    with Proxy(url, ends_the_connection) as lost:
-        several = f"unix:{tmp_path}/nobody,{lost.url},{url}"
-        assert eval_rows("--connect", several, *ARGUMENTS) == known
-    assert eval_rows("--connect", f"{url},unix:{tmp_path}/nobody", *ARGUMENTS) == known
-
-
 def test_a_person_is_told_at_once(tmp_path):
     with_wait = ("--connect", f"unix:{tmp_path}/a", "--retry-ms", "400", *ARGUMENTS)
     terminal = Terminal("eval", *with_wait, on=(2,))

@@ -124,9 +124,3 @@ def test_a_design_is_prepared_once(daemon, readings):
         client.fit("better", AT_MM, readings, 0.01 * readings, eta=1.41)
         assert client.statistics()["cache_builds"] == 2
         assert client.statistics()["sets_fitted"] == 4
-
-
-def test_without_a_cache(daemon, readings):
-    with daemon("--cache-bytes", "0").client() as client:
-        found = client.fit("better", AT_MM, readings, 0.01 * readings, eta=1.4)
-        assert found.status == "fitted"

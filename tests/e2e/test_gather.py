@@ -120,10 +120,9 @@ def test_points_are_sent_once(daemon):
         same = Points(points.xyz.copy(), points.power.copy())
         assert same.name == points.name
         second.gather("better", [SKIN], same, positions(9))
-        assert first.statistics()["requests_points"] == 1
-        assert first.statistics()["points_sets"] == 1
-        assert first.statistics()["points_sent_sets"] == 0
-        assert first.statistics()["points_sent_bytes"] == 0
+        numbers = first.statistics()
+        assert numbers["requests_points"] == numbers["points_sets"] == 1
+        assert numbers["points_sent_sets"] == numbers["points_sent_bytes"] == 0
 
 
 def test_parts_and_their_replies(shared):

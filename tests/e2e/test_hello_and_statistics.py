@@ -25,20 +25,12 @@ def test_version_that_both_speak(connection, low, high):
 def test_the_lists(client):
     listed = client.info.choices
     ids = {kind: {name: one.id for name, one in some.items()} for kind, some in listed.items()}
-    assert ids["model"] == MODELS
-    assert ids["evaluator"] == choices("EVALUATOR")
-    assert ids["moments"] == choices("MOMENTS")
-    assert ids["quantity"] == choices("QUANTITY")
-    assert ids["spacing"] == choices("SPACING")
-    assert ids["parameter"] == choices("PARAMETER")
+    named = {kind: kind.upper() for kind in ("evaluator", "moments", "quantity", "spacing", "parameter", "draw", "length", "phase")}
+    named |= {"scale": "FIT_SCALE", "axis": "FIT_AXIS", "fit_status": "FIT_STATUS"}
+    for kind, name in named.items():
+        assert ids[kind] == choices(name), kind
+    assert (ids["model"], ids["note"]) == (MODELS, NOTES)
     assert set(ids["parameter"]) == {*PARAMETERS, *OTHER_PARAMETERS}
-    assert ids["note"] == NOTES
-    assert ids["draw"] == choices("DRAW")
-    assert ids["length"] == choices("LENGTH")
-    assert ids["phase"] == choices("PHASE")
-    assert ids["scale"] == choices("FIT_SCALE")
-    assert ids["axis"] == choices("FIT_AXIS")
-    assert ids["fit_status"] == choices("FIT_STATUS")
     assert ids["status"] == {name: code for code, name in wire.STATUSES.items()}
     assert "d'Eon" in listed["model"]["better"].about
     assert listed["quantity"]["R"].about == "1/mm^2"

@@ -44,12 +44,6 @@ def test_request_beyond_the_largest_size(small_frames, radii):
     assert_serves(small_frames)
 
 
-def test_a_header_alone_is_enough_to_be_refused(small_frames):
-    small_frames.send_bytes(header(request_id=6, payload_bytes=2**32 - 8))
-    reply = small_frames.receive_frame()
-    assert_error(reply, "too-large", "payload_bytes", "at most 4096", request_id=6)
-
-
 def test_max_radii(daemon):
     with daemon("--max-radii", "1000").connect() as connection:
         for radii in ({"radii": [1.0] * 1000}, {"radii": None, "radius_count": 1000}):

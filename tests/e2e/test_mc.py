@@ -21,7 +21,6 @@ ENDLESS = {"medium": Medium(1e-4, 10.0, 0.9, 1.4), "photons": 10**10}
 
 
 def mc_payload(**changes) -> bytes:
-    """Makes the payload of an mc request."""
     fields = {"medium": TISSUE, "edges": EDGES, "spacing": LINEAR, "photons": 2 * BATCH}
     fields |= {"error_total": 0.0, "error_rings": 0.0, "albedos": ()}
     return pack_request(**{**fields, "seed": 1, **changes})
@@ -37,7 +36,6 @@ def receive_last(connection: dipole.Connection, request_id: int) -> Frame:
 
 
 def receive_table(connection: dipole.Connection, request_id: int = 77) -> McResult:
-    """Receives the last reply to an mc request."""
     reply = receive_last(connection, request_id)
     assert reply.type == MC | wire.REPLY
     return unpack_result(reply.payload)

@@ -173,8 +173,9 @@ def test_earlier_requests_are_answered_before_the_truncated_one(connection):
 
 def test_truncated_frame_that_has_been_refused(connection):
     """If a refused frame is cut off, the error about that has the id of the frame."""
-    connection.send_bytes(header(type=EVAL, request_id=77, payload_bytes=1 << 30) + bytes(100))
-    assert_error(connection.receive_frame(), "too-large", "payload_bytes", "", request_id=77)
+    connection.send_bytes(header(type=EVAL, request_id=77, payload_bytes=2**32 - 8))
+    assert_error(connection.receive_frame(), "too-large", "payload_bytes", "at most", request_id=77)
+    connection.send_bytes(bytes(100))
     connection.half_close()
     assert_error(connection.receive_frame(), "truncated", "payload_bytes", "", request_id=77)
     assert_closed(connection)

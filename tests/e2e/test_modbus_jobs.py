@@ -15,17 +15,11 @@ from modbus_master import (
     MIRROR, SKIN, SLOW, TCP, Exception_, Tcp, as_floats, as_words, exception, floats, input_block,
     run_job, single, slow_medium, swapped, words, write_read_pdu,
 )
+from test_modbus_eval import client  # noqa: F401  (a fixture)
 
 CANCELLED = 4
 KINDS = ["SAMPLE", "INVERT", "MC"]
 DRAWS, LENGTHS = choices("DRAW"), choices("LENGTH")
-
-
-@pytest.fixture
-def client(slave):
-    """Returns a client of the binary protocol."""
-    with slave.client() as one:
-        yield one
 
 
 class Head(NamedTuple):

@@ -154,26 +154,16 @@ def test_a_request_larger_than_the_backlog_is_taken_when_there_is_none(daemon):
 
 # ---- samples, inversions and fits ----------------------------------------------------------------------
 
-# Each entry has: type, a small request, how its work is counted, and the work of a small request.
-KINDS = {
-    "sample": (SAMPLE, sample_payload(), "radii_drawn", 2),
-    "invert": (INVERT, invert_payload(), "media_inverted", 2),
-    "fit": (FIT_REQUEST, fit_payload(), "sets_fitted", 1),
-    "varying": (VARYING, varying_payload(), "radii_evaluated", 2),
-}
-
-
 @pytest.mark.parametrize(
-    "kind, large, field",
+    "type, small, large, field",
     [
-        ("sample", sample(20_000, "extended"), "sample_count"),
-        ("invert", invert(20_000), "medium_count"),
-        ("fit", fit(5000), "set_count"),
+        (SAMPLE, sample_payload(), sample(20_000, "extended"), "sample_count"),
+        (INVERT, invert_payload(), invert(20_000), "medium_count"),
+        (FIT_REQUEST, fit_payload(), fit(5000), "set_count"),
     ],
     ids=["sample", "invert", "fit"],
 )
-def test_large_ones_are_refused_while_there_is_much_to_do(daemon, kind, large, field):
-    type, small, *_ = KINDS[kind]
+def test_large_ones_are_refused_while_there_is_much_to_do(daemon, type, small, large, field):
     one = daemon("--workers", "1", "--max-backlog-ms", "1", "--drain-timeout-ms", "100")
     with one.connect() as second:
         with Others(one, second, 16, type, large):

@@ -66,7 +66,6 @@ class Page:
         return self.browser.run(code, given)
 
     def evaluate(self, expression: str):
-        """Evaluates an expression in the page."""
         return self.run("return page.evaluate(given)", expression)
 
     def text(self, name: str) -> str:
