@@ -171,3 +171,10 @@ $ for one in '' '*' farm7:8017 farm7. http://farm7 '[::1]'; do dipoled --http 12
 ! dipoled: --http-name is a name alone, as farm7.example, not 'farm7.'
 ! dipoled: --http-name is a name alone, as farm7.example, not 'http://farm7'
 ! dipoled: --http-name is a name alone, as farm7.example, not '[::1]'
+
+## Help and the version come before any start.
+$ dipoled --version
+dipoled 0.1.0
+
+$ dipoled --help --listen nonsense | head -n 1
+dipoled 0.1.0: evaluates subsurface-scattering profiles R(r) for clients.

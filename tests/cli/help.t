@@ -437,3 +437,14 @@ section         name                                value
 $ dipole media --connect private:/nonexistent
 ! dipole media: cannot start a private daemon: there is no program /nonexistent beside this program or in PATH. Install dipoled, or name a running daemon, as in DIPOLED=tcp:HOST:PORT
 ? 1
+
+## The help of each command has its use, examples, the exit status and the options of all, in 100 columns.
+$ for one in eval plot points sample invert fit texture table mc media info top bench; do dipole $one --help > text; dipole help $one | cmp - text; awk 'length > 100' text; head -n 1 text | grep -o '^Usage: dipole '; sed '1,/^Examples$/d' text | grep -o -m 1 "^  dipole $one" | cut -c 1-8; grep -o 'Exit status: 0 ' text; grep -o -e '^  --connect ADDRESS' -e '^  --format FORMAT' -e '^  --timeout-ms N' -e '^  --retry-ms N' -e '^  --help' text; done | sort | uniq -c
+     13   --connect ADDRESS
+     13   --format FORMAT
+     13   --help
+     13   --retry-ms N
+     13   --timeout-ms N
+     13   dipole
+     13 Exit status: 0 
+     13 Usage: dipole 

@@ -312,3 +312,7 @@ $ dipole mc --layer 1,2,0,1.4,1 --layer 1,2,0,-1 --photons 1
 $ dipole mc --layer 1,2,0,1.4,1 --layer 1,2,0,1.4 --albedo 0.5,0.6 --photons 1
 ! dipole mc: bad-value: albedo_count: allowed: 1: layers have an albedo each (--albedo)
 ? 1
+
+## The same seed has the same output, whatever the daemon.
+$ for seed in 5 5 6; do dipole mc --sigma-a 0.1 --sigma-s 0.9 --eta 1.3 --photons 2e4 --to 4 --rings 4 --format json --seed $seed > $seed; cat $seed >> all; done; DIPOLED_MC_THREADS=1 DIPOLED_ISA=portable dipole mc --sigma-a 0.1 --sigma-s 0.9 --eta 1.3 --photons 2e4 --to 4 --rings 4 --format json --seed 5 | cmp - 5 && cat 5 5 6 | cmp - all; cmp -s 5 6; echo $?
+1

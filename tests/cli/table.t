@@ -39,3 +39,6 @@ model error: the largest, of the model against radiative transport
 errors are relative, but of ln R, its derivatives, paths and modulated light absolute, as the
 cdf's model error is, and of R_f over the albedo
 per unit of power launched: values times 1 - ((eta - 1) / (eta + 1))^2 = 0.982987 (eta 1.3)
+
+$ dipole eval --table a --plot a.svg > /dev/null; head -c 5 a.svg; echo
+<?xml

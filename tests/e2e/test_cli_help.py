@@ -4,25 +4,6 @@ import pytest
 from command_line import FAILED, PROGRAM, dipole
 from daemons import BUILD, finished
 
-COMMANDS = [
-    "eval", "plot", "points", "sample", "invert", "fit", "texture", "table", "mc", "media", "info",
-    "top", "bench",
-]  # fmt: skip
-
-
-@pytest.mark.parametrize("command", COMMANDS)
-def test_help_of_a_command(command):
-    text = dipole(command, "--help").stdout
-    assert text == dipole("help", command).stdout
-    assert text.startswith(f"Usage: dipole {command} ")
-    examples = text.split("\nExamples\n")[1]
-    assert f"  dipole {command}" in examples and text.endswith("\n")
-    assert "Exit status: 0 " in text
-    for option in ("connect ADDRESS", "format FORMAT", "timeout-ms N", "retry-ms N", "help"):
-        assert f"\n  --{option}" in text
-    assert max(len(line) for line in text.splitlines()) <= 100
-
-
 @pytest.mark.parametrize("command", ["eval", "sample", "invert"])
 def test_examples_work(command, tmp_path):
     layer = "1 2 18 .75 .1"

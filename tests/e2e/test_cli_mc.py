@@ -3,18 +3,10 @@
 import signal
 
 import pytest
-from command_line import FAILED, Terminal, dipole
+from command_line import FAILED, Terminal
 
 MEDIUM = ["--sigma-a", "0.1", "--sigma-s", "0.9", "--eta", "1.3"]
-SHORT = [*MEDIUM, "--photons", "2e4", "--to", "4", "--rings", "4"]
 ENDLESS = ["--sigma-a", "1e-4", "--sigma-s", "10", "--g", "0.9", "--photons", "1e10"]
-
-
-def test_same_seed_same_output_whatever_the_daemon():
-    text = dipole("mc", *SHORT, "--seed", "5", "--format", "json").stdout
-    env = {"DIPOLED_MC_THREADS": "1", "DIPOLED_ISA": "portable"}
-    assert dipole("mc", *SHORT, "--seed", "5", "--format", "json", env=env).stdout == text
-    assert dipole("mc", *SHORT, "--seed", "6", "--format", "json").stdout != text
 
 
 def test_progress_and_ctrl_c():

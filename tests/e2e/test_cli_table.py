@@ -69,9 +69,3 @@ def test_a_file_says_the_same_as_the_daemon(tmp_path, model):
         there = eval_rows(*MEDIA, "--model", model, "--evaluator", "lut", *radii, *wanted, *angles)
         assert_same_values(here, there)
         assert {row["channel"] for row in here} == {"skin1 red", "skin1 green", "skin1 blue"}
-
-
-def test_a_table_is_drawn(tmp_path):
-    picture = tmp_path / "picture.svg"
-    dipole("eval", "--table", save(tmp_path, *MEDIUM), "--plot", str(picture))
-    assert picture.read_text().startswith("<?xml")

@@ -122,16 +122,6 @@ def test_numbers_at_the_ends_of_their_range(name):
         assert "no-such-option" in ended.stderr and f"--{name}" not in ended.stderr
 
 
-def test_version():
-    version = re.search(r"^VERSION := (\S+)", (REPOSITORY / "Makefile").read_text(), re.M)[1]
-    ended = run("--version")
-    assert (ended.returncode, ended.stdout, ended.stderr) == (0, f"dipoled {version}\n", "")
-
-
-def test_help_comes_before_any_start():
-    assert run("--help", "--listen", "nonsense").returncode == 0
-
-
 def test_log_level_error_is_quiet(daemon, tmp_path_factory):
     # A daemon that logs nothing listens at a socket that the test chose.
     path = tmp_path_factory.mktemp("q") / "s"
