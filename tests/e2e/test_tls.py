@@ -148,7 +148,7 @@ def test_allow_holds_for_tls(daemon, server, ours):
 def media(url: str, files: dict[str, str]) -> str:
     """Returns what `dipole media` says that cannot connect."""
     words = [text for name, value in files.items() for text in (f"--{name}", value)]
-    ended = finished(BUILD / "dipole", "media", "--connect", url, *words)
+    ended = finished(BUILD / "dipole", "media", "--connect", url, "--retry-ms", "0", *words)
     assert ended.returncode == 1
     return ended.stderr
 
@@ -190,7 +190,7 @@ def test_plain_and_tls_do_not_mix(farm, ours):
     """Each side says what is the matter."""
     plain, secure = farm.url("tcp").replace("tcp:", "tls:"), farm.url("tls").replace("tls:", "tcp:")
     with pytest.raises(dipole.ConnectError, match="is it a tcp: address"):
-        dipole.Client(plain, **ours)
+        dipole.Client(plain, **ours, retry_s=0)
     assert "is it a tcp: address" in media(plain, ours)
     assert farm.has_line("this is TLS, which needs a tls: address")
     with pytest.raises(dipole.DipoleError, match="is it a tls: address"):
