@@ -135,8 +135,8 @@ core_fault solver_layers_check(const solver_layer *layer, size_t count, double e
  * grids, at most four, are solved until two of them agree within the tolerance, relative, from 0.05
  * reduced mean free paths of the first layer on, or do not promise to. What holds is the error
  * beside each value: it is large for slabs thinner than half a mean free path at all radii, and for
- * T near the axis behind layers of many mean free paths. Two layers take some 0.4 s of a processor
- * for a tolerance of 1e-2 and 3 s for 1e-3, each layer more as much again. count: 1 to
+ * T near the axis behind layers of many mean free paths. Two layers take some 0.7 s of a processor
+ * for a tolerance of 1e-2 and 3.5 s for 1e-3, each layer more at most as much again. count: 1 to
  * SOLVER_LAYERS_MAX. eta_below: the index below a last layer of finite thickness over that above all,
  * in the range of eta. stop: NULL, or set by any thread. Faults: those of solver_layers_check(),
  * `tolerance`, `memory`, CORE_FIELD_STOPPED. On a fault *solution is NULL. Otherwise the caller owns
