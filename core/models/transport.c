@@ -1097,9 +1097,11 @@ static double kappa_at(const struct source *source, double end) {
 }
 
 /* A solution of layers loses its digits far away. It is used up to the largest radius where its
- * relative error is at most DIGITS_LEFT, which is no smaller than the end by MUCH_NEARER. Beyond, R is
- * not known: the error grows to infinity within 8 % of the radius. */
+ * relative error is at most DIGITS_LEFT, or where there is none, DIGITS_LEAST (thin slabs), which is
+ * no smaller than the end by MUCH_NEARER. Beyond, R is not known: the error grows to infinity within
+ * 8 % of the radius. */
 #define DIGITS_LEFT 0.0625
+#define DIGITS_LEAST 0.16
 #define MUCH_NEARER 6.0 /* in ln x */
 #define LOST_GROWTH 1000.0
 
@@ -1107,11 +1109,14 @@ static double kappa_at(const struct source *source, double end) {
  * before R is negligible, else to 0. Returns false if no radius has enough digits. */
 static bool find_end_of_layers(const struct source *source, double *end, double *growth) {
   const double most = find_end(source);
-  for (*end = most; *end > most - MUCH_NEARER; *end -= 0.5 * PANEL_WIDTH) {
-    const transport_number at = solved_at(source, real_exp_signed(*end));
-    if (at.error <= DIGITS_LEFT * at.value) {
-      *growth = *end < most ? LOST_GROWTH : 0;
-      return true;
+  static const double left[] = {DIGITS_LEFT, DIGITS_LEAST};
+  for (size_t i = 0; i < sizeof left / sizeof left[0]; i++) {
+    for (*end = most; *end > most - MUCH_NEARER; *end -= 0.5 * PANEL_WIDTH) {
+      const transport_number at = solved_at(source, real_exp_signed(*end));
+      if (at.error <= left[i] * at.value) {
+        *growth = *end < most ? LOST_GROWTH : 0;
+        return true;
+      }
     }
   }
   return false;
