@@ -665,10 +665,13 @@ core_fault solver_layers_solve(solver_layers **solution, const core_isa *isa,
       for (size_t i = level + 1; i < end; i++) {
         most *= GAIN;
       }
+      /* a wider margin does not say that errors fall less */
+      const bool has_kink = depth_from(made->grid[0], made, 0) < KINK_DEPTH;
+      const double promise = has_kink ? MARGIN / MARGIN_KINK : 1;
       hopes = false;
       for (size_t side = 0; side < made->sides; side++) {
-        hopes |=
-            worst[side] < most && solver_goes_on(level + 1, worst[side], before[side], tolerance);
+        hopes |= worst[side] * promise < most &&
+                 solver_goes_on(level + 1, worst[side], before[side], tolerance);
       }
     }
   }
