@@ -291,7 +291,7 @@ enum dipole_quantity {
   DIPOLE_PDF = 64,
   /* 2_pi_r_R, 1/mm: finite at 0 */
   DIPOLE_RING = 128,
-  /* S, 1/(mm^2 sr): BSSRDF */
+  /* S, 1/(mm^2 sr): BSSRDF at cos_in, cos_out */
   DIPOLE_S = 256,
   /* R_f, 1: integral of 2_pi_r_R J0(2 pi f r) */
   DIPOLE_TRANSFER = 512,
@@ -305,11 +305,11 @@ enum dipole_quantity {
   DIPOLE_MODEL_ERRORS = 8192,
   /* T, 1/mm^2: as R, below the last layer: transport; 0 below half spaces */
   DIPOLE_T = 16384,
-  /* path, mm: mean length */
+  /* path, mm: mean length in the medium */
   DIPOLE_PATH = 32768,
   /* dpf, 1: path/r */
   DIPOLE_DPF = 65536,
-  /* time, ps: by the index */
+  /* time, ps: on paths, by the index */
   DIPOLE_TIME = 131072,
   /* phase, degrees: lag of modulated light */
   DIPOLE_LAG = 262144,

@@ -567,12 +567,19 @@ core_fault solver_layers_check(const solver_layer *layer, size_t count, double e
 /* Below this many times 1 / K, R and T are made of waves beyond K, which both grids guess. */
 #define GUESSED 4.0
 
+/* Returns the radius, in units of the grid, up to which the margin is MARGIN_KINK; 0 if the upper medium
+ * is deep. */
+static double kink_reach(const solver_layers *of) {
+  const struct grid *fine = of->grid[0];
+  const double depth = depth_from(fine, of, 0);
+  return depth < KINK_DEPTH ? KINK_REACH * depth / fine->layer[0].extinction : 0;
+}
+
 /* Compares the two grids, and sets the largest relative errors of R and T at radii that a tolerance
  * is for. */
 static void find_errors(solver_layers *of, double worst[SIDES]) {
   const struct grid *fine = of->grid[0];
-  const double depth = depth_from(fine, of, 0);
-  const double kink = depth < KINK_DEPTH ? KINK_REACH * depth / fine->layer[0].extinction : 0;
+  const double kink = kink_reach(of);
   double margin = of->sides > 1 ? MARGIN_FINITE : MARGIN;
   for (size_t i = 0; i < of->count; i++) {
     const stack_layer *layer = &fine->layer[i];
@@ -666,8 +673,7 @@ core_fault solver_layers_solve(solver_layers **solution, const core_isa *isa,
         most *= GAIN;
       }
       /* a wider margin does not say that errors fall less */
-      const bool has_kink = depth_from(made->grid[0], made, 0) < KINK_DEPTH;
-      const double promise = has_kink ? MARGIN / MARGIN_KINK : 1;
+      const double promise = kink_reach(made) > 0 ? MARGIN / MARGIN_KINK : 1;
       hopes = false;
       for (size_t side = 0; side < made->sides; side++) {
         hopes |= worst[side] * promise < most &&
