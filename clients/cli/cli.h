@@ -116,7 +116,7 @@ typedef struct cli_settings {
   cli_texts coefficients;
   cli_number tolerance;
   cli_number photons, error, total_error;
-  cli_number interval, seconds;
+  cli_number seconds;
   cli_count in_flight, radii, large_radii;
 } cli_settings;
 

@@ -91,7 +91,8 @@ const cli_command cli_command_info = {
     .shows_service = true,
     .run = run_info,
     .examples = "  dipole info\n"
-                "  dipole info --connect tcp:farm7:4817 --format json\n",
+                "  dipole info --connect tcp:farm7:4817 --format json\n"
+                "  watch -d 'dipole info --format csv | grep ^statistics'\n",
 };
 
 /* ---- media ----------------------------------------------------------------------------------- */

@@ -12,15 +12,26 @@
 extern const cli_command cli_command_eval, cli_command_plot, cli_command_points, cli_command_sample,
     cli_command_invert, cli_command_fit, cli_command_texture, cli_command_convert, cli_command_bake,
     cli_command_gather, cli_command_table, cli_command_mc, cli_command_tissue, cli_command_media,
-    cli_command_info, cli_command_top, cli_command_bench;
+    cli_command_info, cli_command_bench;
 
 const cli_command *const cli_commands[] = {
-    &cli_command_eval,    &cli_command_plot,    &cli_command_points,
-    &cli_command_sample,  &cli_command_invert,  &cli_command_fit,
-    &cli_command_texture, &cli_command_convert, &cli_command_bake,
-    &cli_command_gather,  &cli_command_table,   &cli_command_mc,
-    &cli_command_tissue,  &cli_command_media,   &cli_command_info,
-    &cli_command_top,     &cli_command_bench,   NULL,
+    &cli_command_eval,
+    &cli_command_plot,
+    &cli_command_points,
+    &cli_command_sample,
+    &cli_command_invert,
+    &cli_command_fit,
+    &cli_command_texture,
+    &cli_command_convert,
+    &cli_command_bake,
+    &cli_command_gather,
+    &cli_command_table,
+    &cli_command_mc,
+    &cli_command_tissue,
+    &cli_command_media,
+    &cli_command_info,
+    &cli_command_bench,
+    NULL,
 };
 
 static void print_help(FILE *file) {

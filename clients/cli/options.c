@@ -19,7 +19,7 @@ static const cli_option common_options[] = {
     {"connect",
      "unix:PATH, tcp:HOST:PORT or tls:HOST:PORT; private: starts a private daemon. Several, "
      "separated by commas, are tried in turn (default: the environment variable DIPOLED, else "
-     "private:; for info, top and bench the installed service before that, if it is there)",
+     "private:; for info and bench the installed service before that, if it is there)",
      CLI_TEXT, offsetof(cli_settings, connect), NULL, "ADDRESS"},
     CLI_OPTION(FILE, ca, NULL,
                "for tls: the certificates that sign the daemon's, PEM (default: the environment "

@@ -299,25 +299,16 @@ void cli_rows_print(FILE *file, size_t left, size_t count, cli_put_row *put, con
   print_table(&table, file);
 }
 
-void cli_rows_csv(bool names, size_t count, cli_put_row *put, const void *context) {
+static void write_csv(const cli_report *report, const void *context) {
   cli_rows rows = {.form = CLI_CSV, .file = stdout, .between = ",", .pass = CLI_ROWS_HEAD};
-  if (names) {
-    put(&rows, context, 0);
-    putchar('\n');
-  }
+  report->put_row(&rows, context, 0);
+  putchar('\n');
   rows.pass = CLI_ROWS_VALUES;
-  for (size_t i = 0; i < count; i++) {
+  for (size_t i = 0; i < report->rows; i++) {
     rows.filled = false;
-    put(&rows, context, i);
+    report->put_row(&rows, context, i);
     putchar('\n');
   }
-}
-
-void cli_rows_object(cli_put_row *put, const void *context, size_t index) {
-  cli_rows rows = {.form = CLI_JSON, .pass = CLI_ROWS_VALUES, .file = stdout, .between = ", "};
-  putchar('{');
-  put(&rows, context, index);
-  putchar('}');
 }
 
 static void write_json(const cli_report *report, const void *context) {
@@ -332,8 +323,10 @@ static void write_json(const cli_report *report, const void *context) {
   report->put_row(&rows, context, 0);
   fputs("},\n  \"rows\": [", stdout);
   for (size_t i = 0; i < report->rows; i++) {
-    fputs(i > 0 ? ",\n    " : "\n    ", stdout);
-    cli_rows_object(report->put_row, context, i);
+    rows = (cli_rows){.form = CLI_JSON, .pass = CLI_ROWS_VALUES, .file = stdout, .between = ", "};
+    fputs(i > 0 ? ",\n    {" : "\n    {", stdout);
+    report->put_row(&rows, context, i);
+    putchar('}');
   }
   fputs("\n  ]\n}\n", stdout);
 }
@@ -358,7 +351,7 @@ void cli_write(const cli_report *report, enum cli_form form, const void *context
   if (form == CLI_TABLE) {
     write_table(report, context);
   } else if (form == CLI_CSV) {
-    cli_rows_csv(true, report->rows, report->put_row, context);
+    write_csv(report, context);
   } else if (form == CLI_JSON) {
     write_json(report, context);
   }

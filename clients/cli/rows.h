@@ -79,11 +79,6 @@ void cli_put_medium(cli_rows *rows, const dipole_medium *layers, size_t count);
 /* Writes `count` rows as an aligned table, whose first `left` columns are aligned left. */
 void cli_rows_print(FILE *file, size_t left, size_t count, cli_put_row *put, const void *context);
 
-/* Write rows as CSV, after a line of names if `names` is true; or a row as an object of JSON on one
- * line. */
-void cli_rows_csv(bool names, size_t count, cli_put_row *put, const void *context);
-void cli_rows_object(cli_put_row *put, const void *context, size_t index);
-
 /* A command's output, written to standard output in each form. JSON is an object of the facts,
  * "units" and "rows", which has an object for each row; CSV has the rows; people get a line of the
  * facts, and the rows unless there is table(). */

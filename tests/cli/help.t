@@ -25,18 +25,17 @@ Commands
   tissue   Show the coefficients of a tissue at wavelengths, or list tissues
   media    List the media with names: their coefficients, or layers
   info     Show a daemon: models, evaluators, instruction set, limits, statistics
-  top      Watch a daemon: requests, radii and bytes each second, latencies, queues
   bench    Measure how fast a daemon replies: latency, pipelined requests, throughput
   help     This text, or `dipole help COMMAND`
 
 `dipole COMMAND --help` describes a command; `dipole --version` prints the version.
 
 $ dipole help evaluate
-! dipole: there is no command 'evaluate'; the commands are eval, plot, points, sample, invert, fit, texture, convert, bake, gather, table, mc, tissue, media, info, top, bench, help
+! dipole: there is no command 'evaluate'; the commands are eval, plot, points, sample, invert, fit, texture, convert, bake, gather, table, mc, tissue, media, info, bench, help
 ? 2
 
 $ dipole evaluate
-! dipole: there is no command 'evaluate'; the commands are eval, plot, points, sample, invert, fit, texture, convert, bake, gather, table, mc, tissue, media, info, top, bench, help
+! dipole: there is no command 'evaluate'; the commands are eval, plot, points, sample, invert, fit, texture, convert, bake, gather, table, mc, tissue, media, info, bench, help
 ? 2
 
 $ dipole invert --help
@@ -82,7 +81,7 @@ Evaluation
 Options of all commands
   --connect ADDRESS     unix:PATH, tcp:HOST:PORT or tls:HOST:PORT; private: starts a private
                         daemon. Several, separated by commas, are tried in turn (default: the
-                        environment variable DIPOLED, else private:; for info, top and bench the
+                        environment variable DIPOLED, else private:; for info and bench the
                         installed service before that, if it is there)
   --ca FILE             for tls: the certificates that sign the daemon's, PEM (default: the
                         environment variable DIPOLED_CA, else those of the system)
@@ -440,11 +439,13 @@ $ dipole media --connect private:/nonexistent
 
 ## The help of each command has its use, examples, the exit status and the options of all, in 100 columns.
 $ for one in eval plot points sample invert fit texture table mc media info top bench; do dipole $one --help > text; dipole help $one | cmp - text; awk 'length > 100' text; head -n 1 text | grep -o '^Usage: dipole '; sed '1,/^Examples$/d' text | grep -o -m 1 "^  dipole $one" | cut -c 1-8; grep -o 'Exit status: 0 ' text; grep -o -e '^  --connect ADDRESS' -e '^  --format FORMAT' -e '^  --timeout-ms N' -e '^  --retry-ms N' -e '^  --help' text; done | sort | uniq -c
-     13   --connect ADDRESS
-     13   --format FORMAT
-     13   --help
-     13   --retry-ms N
-     13   --timeout-ms N
-     13   dipole
-     13 Exit status: 0 
-     13 Usage: dipole 
+     12   --connect ADDRESS
+     12   --format FORMAT
+     12   --help
+     12   --retry-ms N
+     12   --timeout-ms N
+     12   dipole
+     12 Exit status: 0 
+     12 Usage: dipole 
+! dipole: there is no command 'top'; the commands are eval, plot, points, sample, invert, fit, texture, convert, bake, gather, table, mc, tissue, media, info, bench, help
+! dipole: there is no command 'top'; the commands are eval, plot, points, sample, invert, fit, texture, convert, bake, gather, table, mc, tissue, media, info, bench, help

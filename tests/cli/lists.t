@@ -1,4 +1,4 @@
-## dipole media, info, table, bench, top and texture: what does not depend on the machine.
+## dipole media, info, table, bench and texture: what does not depend on the machine.
 $ dipole media
 medium       channel  sigma_a  sigma_s  g  eta                                               layers
                          1/mm     1/mm
@@ -189,21 +189,6 @@ $ dipole bench --seconds .01 --model multipole
 ! dipole bench: bad-value: thickness of medium 1 of 3: allowed: above 0 mm: this model is of a slab (--thickness)
 ? 1
 
-$ dipole top --interval 0
-! dipole top: --interval: give a number from 0.05 to 86400 seconds
-! `dipole top --help` says more.
-? 2
-
-$ dipole top --interval soon
-! dipole top: --interval: 'soon' is no decimal number
-! `dipole top --help` says more.
-? 2
-
-$ dipole top --count 0
-! dipole top: --count: give at least 1
-! `dipole top --help` says more.
-? 2
-
 $ dipole complete 'dipole '
 eval	Evaluate a medium over a range of radii, as a table or a picture
 plot	Draw profiles over r, and how far they are from radiative transport
@@ -220,7 +205,6 @@ mc	Walk photons through a medium (Monte Carlo): R(r) with standard errors
 tissue	Show the coefficients of a tissue at wavelengths, or list tissues
 media	List the media with names: their coefficients, or layers
 info	Show a daemon: models, evaluators, instruction set, limits, statistics
-top	Watch a daemon: requests, radii and bytes each second, latencies, queues
 bench	Measure how fast a daemon replies: latency, pipelined requests, throughput
 help
 

@@ -4,6 +4,7 @@ import pytest
 from command_line import FAILED, PROGRAM, dipole
 from daemons import BUILD, finished
 
+
 @pytest.mark.parametrize("command", ["eval", "sample", "invert"])
 def test_examples_work(command, tmp_path):
     layer = "1 2 18 .75 .1"
@@ -29,7 +30,6 @@ OUTPUTS = {
     "help": [PROGRAM, "eval", "--help"],
     "values": [PROGRAM, *EVAL, "--r", "1", "--connect"],
     "table": [PROGRAM, "table", *EVAL[1:], "--output", "-"],
-    "top": [PROGRAM, "top", "--count", "1"],
     "daemon's help": [BUILD / "dipoled", "--help"],
     "daemon's version": [BUILD / "dipoled", "--version"],
 }
@@ -44,3 +44,30 @@ def test_output_that_cannot_be_written_is_a_failure(shared, name, closing):
     failed = closing[0] == ">"
     assert run.returncode == (FAILED if failed else 0) and bool(run.stdout) == (not failed)
     assert (b"cannot write" in run.stderr) == (failed and "2>" not in closing)
+
+
+SERVICE = """mount -t tmpfs none /run || exit 77
+"$0/dipole" info | grep " address  *private:" || exit 1
+"$0/dipoled" --listen unix:/run/dipoled.sock >/dev/null 2>&1 &
+trap "kill $!" EXIT
+"$0/dipole" info --connect unix:/run/dipoled.sock >/dev/null || exit 1
+for command in "info --format csv" "bench --seconds .01"; do
+  "$0/dipole" $command || exit 1
+done
+"$0/dipole" info --connect private: | grep " address  *private:" || exit 1
+kill -STOP $!
+"$0/dipole" info --retry-ms 100 --timeout-ms 100 && exit 1
+kill -CONT $!
+"""
+
+
+def test_the_installed_service_is_shown_unless_another_daemon_is_named():
+    run = finished("unshare", "-rm", "bash", "-mc", SERVICE, str(PROGRAM.parent))
+    if run.returncode == 77 or "unshare failed" in run.stderr:
+        pytest.skip("a file system of one's own cannot be mounted here")
+    assert run.returncode == 0, run.stderr
+    for shown in ("daemon,address,", "dipoled 0.1.0, at "):
+        run.stdout = run.stdout.split(f"{shown}unix:/run/dipoled.sock", 1)[1]
+    assert "The address is from" not in run.stderr  # of the one that does not answer
+    for command in ("info", "bench"):
+        assert f"dipole {command}: this is the installed service, unix:/run/dipoled" in run.stderr
