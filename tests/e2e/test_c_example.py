@@ -13,7 +13,7 @@ from daemons import REPOSITORY, environment, finished, sanitized
 from installing import make, run
 from test_readme import blocks
 
-SIDE_MM = np.float32(20)
+SIDE_MM = 20
 
 
 class Installed:
@@ -66,21 +66,19 @@ def irradiance(installed, tmp_path) -> Path:
 
 
 def middles(count: int) -> np.ndarray:
-    return (np.arange(count, dtype=np.float32) + np.float32(0.5)) * (SIDE_MM / np.float32(count))
+    return (np.arange(count) + 0.5) * (SIDE_MM / count)
 
 
 def gathered(client, pixels: int, points: int) -> np.ndarray:
     """Computes the sums of the example by numpy: [pixels, pixels, 3]."""
     y, x = (axis.ravel() for axis in np.meshgrid(middles(points), middles(points), indexing="ij"))
-    disk = (x - 15) ** 2 + (y - 10) ** 2 < 4
-    lit = (x < 10) | disk
-    x, y = x[lit], y[lit]
+    lit = (x < 10) | ((x - 15) ** 2 + (y - 10) ** 2 < 4)
     py, px = np.meshgrid(middles(pixels), middles(pixels), indexing="ij")
-    least_mm = 20 / points / np.sqrt(np.pi) / 2
-    r = np.maximum(np.hypot(px[..., None] - x, py[..., None] - y), least_mm).astype(np.float32)
-    R = client.eval("transport", "skin1", r.ravel(), evaluator="lut", wanted=["R"]).R
-    area_mm2 = (20 / points) ** 2
-    return np.moveaxis(R.reshape(3, *r.shape).astype(np.float64).sum(axis=-1) * area_mm2, 0, -1)
+    height_mm = SIDE_MM / points / np.sqrt(np.pi) / 2
+    r = np.sqrt((px[..., None] - x[lit]) ** 2 + (py[..., None] - y[lit]) ** 2 + height_mm**2)
+    R = client.eval("transport", "skin1", r.ravel(), wanted="R").R
+    area_mm2 = (SIDE_MM / points) ** 2
+    return np.moveaxis(R.reshape(3, *r.shape).sum(axis=-1) * area_mm2, 0, -1)
 
 
 def test_the_example_gathers_irradiance(installed, irradiance, shared):
@@ -92,13 +90,13 @@ def test_the_example_gathers_irradiance(installed, irradiance, shared):
         rows = list(csv.DictReader(file))
     names = ["red_w_per_mm2", "green_w_per_mm2", "blue_w_per_mm2"]
     values = np.array([[float(row[name]) for name in names] for row in rows])
-    np.testing.assert_allclose(values.reshape(pixels, pixels, 3), known, rtol=1e-5)
+    np.testing.assert_allclose(values.reshape(pixels, pixels, 3), known, rtol=3e-4)  # its tables and groups: 1e-4 each
     places = [[float(row["x_mm"]), float(row["y_mm"])] for row in rows]
     np.testing.assert_allclose(places[1], [middles(pixels)[1], middles(pixels)[0]], rtol=1e-6)
 
     lines = output.splitlines()
     assert lines[0].startswith("144 pixels, ") and lines[0].endswith(" points, 3 channels")
-    assert lines[1] == "the largest relative difference is 0"
+    assert lines[1] == "the bits at home are the same"
 
 
 def test_the_example_finds_a_daemon_by_itself(installed, irradiance):

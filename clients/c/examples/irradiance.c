@@ -10,36 +10,23 @@
  *   M(x) = sum over i of R(|x - x_i|) E_i A_i
  *
  * for each of three channels, by radiative transport. Towards the source, its R grows like 1/r. The
- * mean of 1/r over a disk is its value at half the disk's radius, so no distance counts as less
- * than that for a disk with the area A_i.
+ * mean of 1/r over a disk is its value at half the disk's radius, so the pixels stand that high
+ * above the plane, for a disk with the area A_i.
  *
- * The program computes M in two ways. First it sends a request for each pixel, with all distances.
- * Many requests are outstanding at the same time, and the library copies their values into the
- * program's own memory. Then the program fetches a table for each channel, with one request, and
- * evaluates the tables itself. The bits are the same.
- *
- * It writes the numbers irradiance.csv to the current folder, and prints the difference of the two
- * results. ADDRESS: see dipole_open(); "" means the default. */
+ * The daemon computes M, and then the program itself does, with tables that it fetches: the
+ * bits are the same. It writes the numbers as CSV. ADDRESS: see dipole_open(); ""
+ * means the default. */
 #include <dipole.h>
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
-#define SIDE_MM 20.0f
-#define IRRADIANCE_W_PER_MM2 1.0f
-#define PI 3.14159265f
+#define SIDE_MM 20.0
+#define IRRADIANCE_W_PER_MM2 1.0
+#define TOLERANCE 1e-4
 
-enum { CHANNELS = 3, IN_FLIGHT = 32, PIXELS_DEFAULT = 96, POINTS_DEFAULT = 64, MOST = 1024 };
-
-typedef struct scene {
-  size_t pixels; /* the picture has pixels x pixels */
-  size_t count;  /* the number of lit points */
-  float *x, *y;  /* [count], mm */
-  float power;   /* E_i A_i, the same for all points, W */
-  float least_r; /* mm */
-  dipole_medium medium[CHANNELS];
-} scene;
+enum { CHANNELS = 3, PIXELS_DEFAULT = 96, POINTS_DEFAULT = 64, MOST = 1024 };
 
 static _Noreturn void fail(const char *what, const dipole_error *error) {
   fprintf(stderr, "irradiance: %s%s%s\n", what, error != NULL ? ": " : "",
@@ -55,35 +42,35 @@ static void *allocate(size_t count, size_t bytes) {
   return memory;
 }
 
-/* ---- the scene ----------------------------------------------------------------------------- */
-
-static int is_lit(float x, float y) {
-  const float dx = x - 0.75f * SIDE_MM, dy = y - 0.5f * SIDE_MM;
-  return x < 0.5f * SIDE_MM || dx * dx + dy * dy < 0.01f * SIDE_MM * SIDE_MM;
+static size_t size_of(const char *text, size_t usual) {
+  char *end;
+  const unsigned long size = text != NULL ? strtoul(text, &end, 10) : usual;
+  if (size < 1 || size > MOST || (text != NULL && *end != '\0')) {
+    fail("PIXELS and POINTS are from 1 to 1024", NULL);
+  }
+  return size;
 }
 
-/* Returns the middle of cell i of a side that is divided into `of` cells, mm. */
-static float middle(size_t i, size_t of) {
-  return ((float)i + 0.5f) * (SIDE_MM / (float)of);
+static int is_lit(double x, double y) {
+  const double dx = x - 0.75 * SIDE_MM, dy = y - 0.5 * SIDE_MM;
+  return x < 0.5 * SIDE_MM || dx * dx + dy * dy < 0.01 * SIDE_MM * SIDE_MM;
 }
 
-/* Divides the square into points x points cells and stores the middles of the lit cells. */
-static void place_points(scene *of, size_t points) {
-  const float cell_mm = SIDE_MM / (float)points;
-  of->x = allocate(points * points, sizeof *of->x);
-  of->y = allocate(points * points, sizeof *of->y);
-  of->power = IRRADIANCE_W_PER_MM2 * cell_mm * cell_mm;
-  of->least_r = cell_mm / sqrtf(PI) / 2;
-  for (size_t i = 0; i < points * points; i++) {
-    const float x = middle(i % points, points), y = middle(i / points, points);
-    if (is_lit(x, y)) {
-      of->x[of->count] = x;
-      of->y[of->count++] = y;
+/* Stores the middles of side x side cells of the square, at height z_mm, or of those alone that are
+ * lit. Returns their number. */
+static size_t place_cells(size_t side, int lit_alone, double z_mm, double (*xyz_mm)[3]) {
+  size_t count = 0;
+  for (size_t i = 0; i < side * side; i++) {
+    const double cell_mm = SIDE_MM / (double)side;
+    const double x = ((double)(i % side) + 0.5) * cell_mm, y = ((double)(i / side) + 0.5) * cell_mm;
+    if (!lit_alone || is_lit(x, y)) {
+      memcpy(xyz_mm[count++], (double[3]){x, y, z_mm}, sizeof *xyz_mm);
     }
   }
+  return count;
 }
 
-static void find_medium(scene *of, dipole_client *client, const char *name) {
+static void find_medium(dipole_client *client, const char *name, dipole_medium *channels) {
   dipole_measured_medium *media;
   dipole_error error;
   size_t count, i = 0;
@@ -96,181 +83,90 @@ static void find_medium(scene *of, dipole_client *client, const char *name) {
   if (i == count) {
     fail("the daemon does not know this medium", NULL);
   }
-  memcpy(of->medium, media[i].channel, sizeof of->medium);
+  memcpy(channels, media[i].channel, CHANNELS * sizeof *channels);
   free(media);
 }
 
-/* Computes the distances of a pixel to all points. r: [count], mm. */
-static void distances(const scene *of, size_t pixel, float *r) {
-  const float x = middle(pixel % of->pixels, of->pixels);
-  const float y = middle(pixel / of->pixels, of->pixels);
-  for (size_t i = 0; i < of->count; i++) {
-    const float dx = of->x[i] - x, dy = of->y[i] - y;
-    r[i] = fmaxf(sqrtf(dx * dx + dy * dy), of->least_r);
-  }
-}
-
-static double gather(const scene *of, const float *R) {
-  double sum = 0;
-  for (size_t i = 0; i < of->count; i++) {
-    sum += (double)R[i];
-  }
-  return sum * (double)of->power;
-}
-
-/* ---- with the daemon ----------------------------------------------------------------------- */
-
-/* The request for one pixel. */
-typedef struct job {
-  uint64_t id;
-  size_t pixel;
-  float *R; /* [CHANNELS][count], the memory for the reply */
-} job;
-
-static void submit(const scene *of, dipole_client *client, size_t pixel, float *r, job *to) {
-  dipole_error error;
-  dipole_query query;
-  dipole_query_init(&query); /* transport, by tables; R at listed radii */
-  query.media = of->medium, query.medium_count = CHANNELS;
-  query.radii = r, query.radius_count = of->count;
-  query.into_values = to->R;
-  distances(of, pixel, r); /* dipole_submit() copies r, so the next request can reuse it. */
-  if (!dipole_submit(client, &query, &to->id, &error)) {
-    fail("submit", &error);
-  }
-  to->pixel = pixel;
-}
-
-/* Waits for the next reply and stores the pixel's exitance. Returns the job, which is free now. */
-static job *collect(const scene *of, dipole_client *client, job *jobs, double *exitance) {
-  dipole_result *result;
-  dipole_error error;
-  uint64_t id;
-  size_t which = 0;
-  if (!dipole_collect(client, &id, &result, &error)) {
-    fail("collect", &error);
-  }
-  while (jobs[which].id != id) {
-    which++;
-  }
-  for (size_t c = 0; c < CHANNELS; c++) {
-    exitance[jobs[which].pixel * CHANNELS + c] = gather(of, jobs[which].R + c * of->count);
-  }
-  dipole_result_free(result);
-  return &jobs[which];
-}
-
-/* Computes all pixels by requests to the daemon. exitance: [pixels * pixels][CHANNELS], W/mm^2. */
-static void evaluate_R(const scene *of, dipole_client *client, double *exitance) {
-  const size_t all = of->pixels * of->pixels;
-  job jobs[IN_FLIGHT] = {0};
-  float *r = allocate(of->count, sizeof *r);
-  for (size_t i = 0; i < IN_FLIGHT; i++) {
-    jobs[i].R = allocate(CHANNELS * of->count, sizeof(float));
-  }
-  for (size_t pixel = 0; pixel < all; pixel++) {
-    job *next = pixel < IN_FLIGHT ? &jobs[pixel] : collect(of, client, jobs, exitance);
-    submit(of, client, pixel, r, next);
-  }
-  while (dipole_outstanding(client) > 0) {
-    collect(of, client, jobs, exitance);
-  }
-  for (size_t i = 0; i < IN_FLIGHT; i++) {
-    free(jobs[i].R);
-  }
-  free(r);
-}
-
-/* ---- tables -------------------------------------------------------------------------------- */
-
-static void look_up(const scene *of, dipole_client *client, double *exitance) {
-  float *r = allocate(of->count, sizeof *r), *R = allocate(of->count, sizeof *R);
+/* Computes M[query_count][CHANNELS] of a query without the daemon, but for the tables. */
+static void gather_at_home(dipole_client *client, const dipole_gather_query *query, double *M) {
   dipole_table *tables[CHANNELS];
   dipole_error error;
   for (size_t c = 0; c < CHANNELS; c++) {
-    const dipole_table_query query = {.model = dipole_id(client, DIPOLE_MODEL, "transport"),
-                                      .moments = DIPOLE_EXACT,
-                                      .medium = of->medium[c]};
-    if (!dipole_table_fetch(client, &query, &tables[c], &error)) {
+    const dipole_table_query wanted = {
+        .model = query->model, .moments = query->moments, .medium = query->media[c]};
+    if (!dipole_table_fetch(client, &wanted, &tables[c], &error)) {
       fail("table", &error);
     }
   }
-  for (size_t pixel = 0; pixel < of->pixels * of->pixels; pixel++) {
-    distances(of, pixel, r);
-    for (size_t c = 0; c < CHANNELS; c++) {
-      if (!dipole_table_values(tables[c], DIPOLE_R, of->count, r, R)) {
-        fail("a distance that the table does not cover", NULL);
-      }
-      exitance[pixel * CHANNELS + c] = gather(of, R);
-    }
+  if (!dipole_gather_at_home((const dipole_table *const *)tables, query->points, query->tolerance,
+                             query->query_count, query->queries_mm, NULL, NULL, M, NULL, &error)) {
+    fail("gather at home", &error);
   }
   for (size_t c = 0; c < CHANNELS; c++) {
     dipole_table_free(tables[c]);
   }
-  free(R);
-  free(r);
 }
 
-/* ---- results ------------------------------------------------------------------------------- */
-
-static void write_numbers(const scene *of, const double *exitance) {
+static void write_numbers(size_t count, double (*xyz_mm)[3], const double *M) {
   FILE *file = fopen("irradiance.csv", "w");
   if (file == NULL) {
     fail("irradiance.csv", NULL);
   }
   fputs("x_mm,y_mm,red_w_per_mm2,green_w_per_mm2,blue_w_per_mm2\n", file);
-  for (size_t i = 0; i < of->pixels * of->pixels; i++) {
-    const double *M = exitance + i * CHANNELS;
-    fprintf(file, "%.9g,%.9g,%.9g,%.9g,%.9g\n", (double)middle(i % of->pixels, of->pixels),
-            (double)middle(i / of->pixels, of->pixels), M[0], M[1], M[2]);
+  for (size_t i = 0; i < count; i++, M += CHANNELS) {
+    fprintf(file, "%.9g,%.9g,%.9g,%.9g,%.9g\n", xyz_mm[i][0], xyz_mm[i][1], M[0], M[1], M[2]);
   }
   if (fclose(file) != 0) {
     fail("writing irradiance.csv", NULL);
   }
 }
 
-static void compare(const scene *of, const double *one, const double *other) {
-  double most = 0;
-  for (size_t i = 0; i < of->pixels * of->pixels * CHANNELS; i++) {
-    most = fmax(most, fabs(one[i] / other[i] - 1));
-  }
-  printf("the largest relative difference is %g\n", most);
-}
-
-static size_t size_of(const char *text, size_t usual) {
-  char *end;
-  const unsigned long size = text != NULL ? strtoul(text, &end, 10) : usual;
-  if (size < 1 || size > MOST || (text != NULL && *end != '\0')) {
-    fail("PIXELS and POINTS are from 1 to 1024", NULL);
-  }
-  return size;
-}
-
 int main(int argc, char **argv) {
-  static void (*const ways[2])(const scene *, dipole_client *, double *) = {evaluate_R, look_up};
   const char *address = argc > 1 && argv[1][0] != '\0' ? argv[1] : NULL;
-  scene skin = {.pixels = size_of(argc > 2 ? argv[2] : NULL, PIXELS_DEFAULT)};
-  double *exitance[2];
+  const size_t side = size_of(argc > 2 ? argv[2] : NULL, PIXELS_DEFAULT), pixels = side * side;
+  const size_t cells = size_of(argc > 3 ? argv[3] : NULL, POINTS_DEFAULT);
+  const double cell_mm = SIDE_MM / (double)cells, height_mm = cell_mm / sqrt(acos(-1)) / 2;
+  double(*point)[3] = allocate(cells * cells, sizeof *point);
+  double(*pixel)[3] = allocate(pixels, sizeof *pixel);
+  double *M = allocate(pixels * CHANNELS, sizeof *M);
+  double *at_home = allocate(pixels * CHANNELS, sizeof *at_home);
+  dipole_medium skin[CHANNELS];
+  dipole_points *points;
   dipole_client *client;
   dipole_error error;
-  if (!dipole_open(address, &client, &error)) {
+  const size_t lit = place_cells(cells, 1, 0, point);
+  float *power_W = allocate(lit * CHANNELS, sizeof *power_W);
+  for (size_t i = 0; i < lit * CHANNELS; i++) {
+    power_W[i] = (float)(IRRADIANCE_W_PER_MM2 * cell_mm * cell_mm);
+  }
+  if (!dipole_open(address, &client, &error) ||
+      !dipole_points_make(lit, CHANNELS, point[0], power_W, &points, &error)) {
     fail("open", &error);
   }
-  find_medium(&skin, client, "skin1");
-  place_points(&skin, size_of(argc > 3 ? argv[3] : NULL, POINTS_DEFAULT));
-  const size_t pixels = skin.pixels * skin.pixels;
-  printf("%zu pixels, %zu points, %d channels\n", pixels, skin.count, CHANNELS);
-  for (size_t i = 0; i < 2; i++) {
-    exitance[i] = allocate(pixels * CHANNELS, sizeof *exitance[i]);
-    ways[i](&skin, client, exitance[i]);
+  find_medium(client, "skin1", skin);
+  const dipole_gather_query query = {.model = dipole_id(client, DIPOLE_MODEL, "transport"),
+                                     .evaluator = DIPOLE_LUT,
+                                     .moments = DIPOLE_EXACT,
+                                     .points = points,
+                                     .media = skin,
+                                     .queries_mm = pixel[0],
+                                     .query_count = place_cells(side, 0, height_mm, pixel),
+                                     .tolerance = TOLERANCE};
+  printf("%zu pixels, %zu points, %d channels\n", pixels, lit, CHANNELS);
+  if (!dipole_gather(client, &query, NULL, NULL, M, NULL, &error)) {
+    fail("gather", &error);
   }
-  compare(&skin, exitance[1], exitance[0]);
-  write_numbers(&skin, exitance[0]);
+  gather_at_home(client, &query, at_home);
+  const int same = memcmp(M, at_home, pixels * CHANNELS * sizeof *M) == 0;
+  printf("the bits at home are %s\n", same ? "the same" : "others");
+  write_numbers(pixels, pixel, M);
   dipole_close(client);
-  free(exitance[0]);
-  free(exitance[1]);
-  free(skin.x);
-  free(skin.y);
+  dipole_points_free(points);
+  free(power_W);
+  free(at_home);
+  free(M);
+  free(pixel);
+  free(point);
   if (fflush(stdout) != 0 || ferror(stdout)) {
     fail("writing standard output", NULL);
   }
