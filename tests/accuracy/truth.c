@@ -15,8 +15,9 @@
  * Two models have no formula: `transport` is compared with itself at its own tolerance, and
  * the stated errors of both are added (test_transport_g.c and test_derivative.c compare it with solutions);
  * `gaussians` is compared with the model that it was fitted to. Path lengths are compared with the
- * formula's derivatives, and modulated light with the formula continued from 36 absorptions. Besides values the rounds check
- * samples (core_sample), inversions (invert_albedo), that a cdf never falls once it is 1, and
+ * formula's derivatives, and modulated light with the formula continued from 36 absorptions; that
+ * of `transport`, with g = 0, with tests/accuracy/isotropic/ continued from 12. Besides values the
+ * rounds check samples (core_sample), inversions (invert_albedo), that a cdf never falls once it is 1, and
  * the stated errors of models against solutions of transport.
  *
  * Before the rounds it replays tests/accuracy/known.csv: values that were once further off than
@@ -486,13 +487,38 @@ static void check_inversion(struct subject *s, uint64_t *random) {
 
 typedef _Complex _Float128 complex_quad;
 
-enum { LIGHT_NODES = 36, LIGHT_FEWER = 27, LIGHT_FEWEST = 18, LIGHT_RADII = 48 };
+enum { LIGHT_NODES = 36, LIGHT_RADII = 48 };
 
-/* Sets truth[2][n] to phases in degrees and modulations at wavenumber omega n / c: the formula is
- * continued from `nodes` absorptions in 113 bits. waves: x are frequencies. */
+/* Sets ln_R[n] of a medium by the formula or, of transport, by the independent solver as far as it
+ * reaches. waves: x are frequencies. */
+static void find_ln_R(const struct subject *s, const core_medium *medium, bool waves, size_t n,
+                      const double *x, quad *ln_R) {
+  static form_model form;
+  if (s->family != FORM_TRANSPORT) {
+    form_prepare(&form, models[s->model], s->moments, medium, &s->parameters);
+    for (size_t i = 0; i < n; i++) {
+      const form_values at = waves ? (form_values){0} : form_at(&form, x[i], true);
+      ln_R[i] = waves ? logf128(form_truth(&form, at, CORE_ELEMENTWISE_TRANSFER, x[i]))
+                      : logf128(at.R) - at.shift;
+    }
+    return;
+  }
+  const double sigma_t = medium->sigma_a_per_mm + medium->sigma_s_per_mm;
+  isotropic_solution *solution =
+      isotropic_solve(medium->eta, medium->sigma_s_per_mm / sigma_t, 1e-9, ISOTROPIC_REACH);
+  for (size_t i = 0; i < n; i++) {
+    const double mfp = x[i] * sigma_t;
+    ln_R[i] = mfp < ISOTROPIC_REACH
+                  ? logf128((quad)isotropic_at(solution, mfp).R) + 2 * logf128((quad)sigma_t)
+                  : (quad)NAN;
+  }
+  isotropic_free(solution);
+}
+
+/* Sets truth[2][n] to phases in degrees and modulations at wavenumber omega n / c, continued from
+ * `nodes` absorptions in 113 bits. */
 static void continue_form(const struct subject *s, double wavenumber, int nodes, bool waves,
                           size_t n, const double *x, quad truth[2][LIGHT_RADII]) {
-  static form_model form;
   static quad ln_R[LIGHT_NODES][LIGHT_RADII];
   const quad sigma_a = (quad)s->medium.sigma_a_per_mm, here = sqrtf128(sigma_a);
   const complex_quad there = csqrtf128(CMPLXF128(sigma_a, (quad)wavenumber));
@@ -503,12 +529,7 @@ static void continue_form(const struct subject *s, double wavenumber, int nodes,
     core_medium medium = s->medium;
     medium.sigma_a_per_mm = pow(middle + half * cos((j + 0.5) * M_PI / nodes), 2);
     u[j] = sqrtf128((quad)medium.sigma_a_per_mm);
-    form_prepare(&form, models[s->model], s->moments, &medium, &s->parameters);
-    for (size_t i = 0; i < n; i++) {
-      const form_values at = waves ? (form_values){0} : form_at(&form, x[i], true);
-      ln_R[j][i] = waves ? logf128(form_truth(&form, at, CORE_ELEMENTWISE_TRANSFER, x[i]))
-                         : logf128(at.R) - at.shift;
-    }
+    find_ln_R(s, &medium, waves, n, x, ln_R[j]);
   }
   for (size_t i = 0; i < n; i++) {
     const quad b = (ln_R[0][i] - ln_R[nodes - 1][i]) / (u[0] - u[nodes - 1]);
@@ -530,7 +551,9 @@ static void continue_form(const struct subject *s, double wavenumber, int nodes,
 
 /* Modulated light of a random frequency, about as fast as sigma_a or sigma_t' is large. */
 static void check_modulated(struct subject *s, uint64_t *random) {
-  const size_t n = s->family == FORM_DIPOLE ? LIGHT_RADII : 6;
+  static const int of_form[] = {LIGHT_NODES, 27, 18}, of_solver[] = {12, 10, 8};
+  const int *nodes = s->family == FORM_TRANSPORT ? of_solver : of_form;
+  const size_t n = s->family == FORM_DIPOLE || s->family == FORM_TRANSPORT ? LIGHT_RADII : 6;
   const double per_mhz = 2e-6 * M_PI * s->medium.eta / 0.299792458;
   const double scale = below(random, 2) ? s->medium.sigma_a_per_mm : core_sigma_t_prime(&s->medium);
   const double mhz = scale * log_between(random, 1e-4, 10) / per_mhz;
@@ -544,9 +567,9 @@ static void check_modulated(struct subject *s, uint64_t *random) {
       const double mfp = log_between(random, 1e-3, 300) / core_sigma_t_prime(&s->medium);
       x[i] = (double)(float)(waves ? 0.1 / mfp : mfp);
     }
-    continue_form(s, per_mhz * mhz, LIGHT_NODES, waves, n, x, truth);
-    continue_form(s, per_mhz * mhz, LIGHT_FEWER, waves, n, x, fewer);
-    continue_form(s, per_mhz * mhz, LIGHT_FEWEST, waves, n, x, fewest);
+    continue_form(s, per_mhz * mhz, nodes[0], waves, n, x, truth);
+    continue_form(s, per_mhz * mhz, nodes[1], waves, n, x, fewer);
+    continue_form(s, per_mhz * mhz, nodes[2], waves, n, x, fewest);
     for (enum evaluator e = F64; e <= (below(random, 4) == 0 ? F32 : F64); e++) {
       if (core_profile_prepare(&light.profiles[e], core_isa_select(NULL), models[s->model],
                                s->moments, evaluator_ids[e], &s->medium, &light.parameters)
@@ -939,7 +962,8 @@ static void draw_subject(size_t model, bool slow, bool table, uint64_t *random) 
     core_radii_range range;
     core_parameters light = s.parameters;
     light.value[CORE_PARAMETER_MHZ] = 0;
-    if (s.form.known && s.medium.sigma_s_per_mm > 0 && below(random, 4) == 0 &&
+    const bool known = s.form.known || (transport && s.medium.g == 0);
+    if (known && s.medium.sigma_s_per_mm > 0 && (transport || below(random, 4) == 0) &&
         core_profile_check(models[model], s.moments, CORE_EVALUATOR_F64, &s.medium, &light, &range)
                 .field == NULL) {
       check_modulated(&s, random);
