@@ -110,7 +110,7 @@ $(addprefix $(OBJ)/,core/transport/table.o core/varying/rows.o core/cells/cells.
 $(addprefix $(OBJ)/core/models/,surface.avx512.f32.o varying.avx512.f32.o): ISA_FLAGS_avx512 += -mprefer-vector-width=256
 $(SERVER): EXTRA_CPPFLAGS = $(call cflags,libuv libmicrohttpd libmodbus) $(TLS_CFLAGS)
 $(OBJ)/clients/c/tls.o: EXTRA_CPPFLAGS = $(TLS_CFLAGS)
-$(OBJ)/clients/cli/texture.o $(OBJ)/clients/cli/bake.o: EXTRA_CPPFLAGS = $(call cflags,libpng lcms2)
+$(OBJ)/clients/cli/image.o $(OBJ)/clients/cli/bake.o: EXTRA_CPPFLAGS = $(call cflags,libpng lcms2)
 $(OBJ)/clients/cli/material.o: EXTRA_CPPFLAGS = $(call cflags,expat jansson)
 $(OBJ)/core/models/gaussian_fit.o $(OBJ)/core/fit/layers.o: EXTRA_CPPFLAGS = $(if $(filter yes,$(CMINPACK)),$(call cflags,cminpack))
 

@@ -42,6 +42,10 @@ static const cli_option options[] = {
     {"tissue", "what is known besides, and where the search starts; `dipole tissue` lists it",
      CLI_FILES, offsetof(cli_settings, tissue), NULL, "[NAME][,PROPERTY=X]..."},
     CLI_OPTION(TEXT, haemoglobin, "prahl", "the table of its absorption: prahl or ucl"),
+    {"maps",
+     "fit each pixel of images, which FILE lists, and write a map of each value (FILE.hbo2_uM.pfm) "
+     "and of its error (FILE.hbo2_uM_error.pfm), of chi2 and of status",
+     CLI_FILE, offsetof(cli_settings, output), NULL, "FILE.pfm"},
     CLI_TITLE("Evaluation"),
     CLI_OPTION(NAME, model, CLI_MODEL_DEFAULT, "the model that is fitted; see `dipole info`"),
     CLI_MOMENTS_OPTION,
@@ -135,6 +139,9 @@ static int check(cli_settings *settings) {
   }
   if (settings->tissue.count > 0) {
     return cli_fail_usage("--tissue: give --unknown, too, with what is sought");
+  }
+  if (settings->output != NULL) {
+    return cli_fail_usage("--maps: give --unknown, too, with what is sought");
   }
   const size_t numbers = settings->reference.count;
   if (numbers != 0 && numbers != REFERENCE_NUMBERS) {
@@ -838,7 +845,13 @@ const cli_command cli_command_fit = {
         "unknown: sample_status is that of its sample.\n"
         "With --unknown the file has wavelength_nm, too, and for each wavelength of a sample the "
         "same places. A property is named with or without its unit, as hbo2 for hbo2_uM. The "
-        "saturation and the total of haemoglobin have their errors from the covariance.",
+        "saturation and the total of haemoglobin have their errors from the covariance. With "
+        "--maps "
+        "a line of FILE is an image, grey, PFM or PNG (its values as shares of 1): it has the "
+        "columns "
+        "image, a file, and error, the standard error of each pixel, or relative_error, as a share "
+        "of "
+        "the pixel, or both. What is not fitted is NaN in the maps, and counted.",
     .formats = "table,csv,json",
     .options = {options},
     .parameters = CLI_OF_INVERTED | CLI_PARAMETER_BIT(DETECTOR_NA),
@@ -850,6 +863,7 @@ const cli_command cli_command_fit = {
         "  dipole fit readings.csv --g 0.8 --eta 1.4 --plot fit.svg\n"
         "  dipole fit readings.csv --layer x,20,0.8,1.4,0.06 --layer x,15,0.8,1.4\n"
         "  dipole fit bands.csv --unknown hbo2,hb,water=0.2:0.9,a,b --tissue fat=0.1,eta=1.4\n"
+        "  dipole fit images.csv --unknown hbo2,hb,a,b --tissue water=0.65 --maps skin.pfm\n"
         "  printf 'r,R,error\\n1,.0234,.0005\\n2,.00787,.0002\\n4,.00159,.00003\\n' |\n"
         "    dipole fit --model better --eta 1.4\n",
 };

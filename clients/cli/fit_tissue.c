@@ -6,6 +6,7 @@
 
 #include "clients/cli/csv.h"
 #include "clients/cli/daemon.h"
+#include "clients/cli/image.h"
 #include "clients/cli/profile.h"
 #include "clients/cli/progress.h"
 #include "clients/cli/rows.h"
@@ -19,14 +20,16 @@ enum {
   SOURCE,
   DETECTOR,
   MHZ,
+  RELATIVE,
   VALUES,
   KINDS = 3,
   COLUMNS = VALUES + 2 * KINDS
 };
 
 static const char *const names[COLUMNS] = {
-    "wavelength_nm", "r",     "f",           "source_mm",  "detector_mm",     "mhz", "R",
-    "error",         "phase", "phase_error", "modulation", "modulation_error"};
+    "wavelength_nm",   "r", "f",     "source_mm", "detector_mm", "mhz",
+    "relative_error",  "R", "error", "phase",     "phase_error", "modulation",
+    "modulation_error"};
 
 static const double quantities[KINDS] = {0, DIPOLE_LAG, DIPOLE_MODULATION};
 
@@ -49,10 +52,14 @@ typedef struct report {
   dipole_tissue_fit_query query;
   dipole_parameter properties[CORE_PROPERTIES_END];
   dipole_sought sought[CORE_PROPERTIES_END];
-  bool blood; /* whether saturation and total are written */
+  bool blood;        /* whether saturation and total are written */
+  struct maps *maps; /* NULL: the file has the readings */
 } report;
 
 int cli_fit_tissue_check(const cli_settings *settings) {
+  if (settings->output != NULL && !cli_ends_with(settings->output, ".pfm")) {
+    return cli_fail_usage("--maps: %s does not end with .pfm", settings->output);
+  }
   if (settings->tissue.count > 1) {
     return cli_fail_usage("--tissue: a fit of a tissue has no layers: give one");
   }
@@ -132,12 +139,30 @@ static int take_query(report *of, dipole_client *client) {
 
 /* ---- readings -------------------------------------------------------------------------------- */
 
-static bool check_header(const cli_sheet *sheet, const cli_csv_record *header) {
+/* Returns what the header lacks of wavelengths and places; NULL: nothing. */
+static const char *missing_place(const cli_sheet *sheet) {
   const bool places =
       (sheet->at[RADIUS] == CLI_CSV_ABSENT) != (sheet->at[FREQUENCY] == CLI_CSV_ABSENT);
-  const char *missing = sheet->at[WAVELENGTH] == CLI_CSV_ABSENT ? "wavelength_nm"
-                        : !places                               ? "r or f (one of both)"
-                                                                : NULL;
+  return sheet->at[WAVELENGTH] == CLI_CSV_ABSENT ? names[WAVELENGTH]
+         : !places                               ? "r or f (one of both)"
+                                                 : NULL;
+}
+
+static bool check_images(const cli_sheet *sheet, const cli_csv_record *header) {
+  const bool error =
+      sheet->at[VALUES + 1] != CLI_CSV_ABSENT || sheet->at[RELATIVE] != CLI_CSV_ABSENT;
+  const char *missing = missing_place(sheet);
+  missing = missing == NULL && sheet->at[COLUMNS] == CLI_CSV_ABSENT ? "image" : missing;
+  missing = missing == NULL && !error ? "error or relative_error" : missing;
+  return missing == NULL ||
+         cli_csv_fail_missing(
+             sheet->source, header, missing,
+             "wavelength_nm, r (mm) or f (1/mm), image (a file) and error, or "
+             "relative_error, for --maps, and may have source_mm, detector_mm, mhz");
+}
+
+static bool check_header(const cli_sheet *sheet, const cli_csv_record *header) {
+  const char *missing = missing_place(sheet);
   size_t kinds = 0;
   for (size_t i = VALUES; i < COLUMNS && missing == NULL; i += 2) {
     const bool read = sheet->at[i] != CLI_CSV_ABSENT;
@@ -156,14 +181,16 @@ static bool check_header(const cli_sheet *sheet, const cli_csv_record *header) {
 /* Lists the samples, and the rows of each. */
 static int read_samples(report *of) {
   cli_sheet *sheet = &of->sheet;
-  if (!cli_sheet_read(of->settings->operand, "sample", names, COLUMNS, check_header, sheet)) {
+  const bool maps = of->maps != NULL;
+  if (!cli_sheet_read(of->settings->operand, maps ? "image" : "sample", names, COLUMNS,
+                      maps ? check_images : check_header, sheet)) {
     return CLI_FAILED;
   }
   of->frequency = sheet->at[FREQUENCY] != CLI_CSV_ABSENT;
   of->samples = cli_allocate(sheet->count + 1, sizeof *of->samples);
   for (size_t row = 0; row < sheet->count; row++) {
     size_t i = of->sample_count; /* a sample's lines are mostly adjacent */
-    while (i > 0 && strcmp(of->samples[i - 1].name, sheet->labels[row]) != 0) {
+    while (i > 0 && !maps && strcmp(of->samples[i - 1].name, sheet->labels[row]) != 0) {
       i--;
     }
     tissue_sample *one = &of->samples[i > 0 ? i - 1 : of->sample_count++];
@@ -178,6 +205,7 @@ enum { NM, PLACE, KEYS = 6 }; /* wavelength; r or f, discs, mhz, quantity */
 
 typedef struct reading {
   double key[KEYS], value, error;
+  size_t row;
 } reading;
 
 /* Compares two readings by the numbers from `first` on. */
@@ -196,16 +224,17 @@ static int compare_readings(const void *a, const void *b) {
 /* Lists the readings of a row. Returns how many. */
 static size_t list_readings(const report *of, size_t row, reading *to) {
   const cli_sheet *sheet = &of->sheet;
-  const bool alone =
-      sheet->at[VALUES + 2] == CLI_CSV_ABSENT && sheet->at[VALUES + 4] == CLI_CSV_ABSENT;
+  const bool alone = of->maps != NULL || (sheet->at[VALUES + 2] == CLI_CSV_ABSENT &&
+                                          sheet->at[VALUES + 4] == CLI_CSV_ABSENT);
   reading one = {{cli_sheet_number(sheet, row, WAVELENGTH),
-                  cli_sheet_number(sheet, row, of->frequency ? FREQUENCY : RADIUS)}};
+                  cli_sheet_number(sheet, row, of->frequency ? FREQUENCY : RADIUS)},
+                 .row = row};
   size_t count = 0;
   for (size_t k = SOURCE; k <= MHZ; k++) {
     const double number = cli_sheet_number(sheet, row, k);
     one.key[PLACE + 1 + k - SOURCE] = isnan(number) ? 0 : number;
   }
-  for (size_t kind = 0; kind < KINDS; kind++) {
+  for (size_t kind = 0; kind < (of->maps != NULL ? 1 : KINDS); kind++) {
     one.key[KEYS - 1] = quantities[kind];
     one.value = cli_sheet_number(sheet, row, VALUES + 2 * kind);
     one.error = cli_sheet_number(sheet, row, VALUES + 2 * kind + 1);
@@ -233,8 +262,9 @@ static size_t sort_readings(reading *all, size_t count) {
   return places == 0 || count % places > 0 ? 0 : places;
 }
 
-/* Requests the fit of a sample. */
-static int fit_sample(report *of, dipole_client *client, tissue_sample *one) {
+/* Lists the readings of a sample by wavelength and place, and sets these in the query. Says what is wrong
+ * and returns NULL. */
+static reading *arrange(const report *of, tissue_sample *one, dipole_tissue_fit_query *query) {
   const size_t room = KINDS * one->count;
   reading *all = cli_allocate(room, sizeof *all);
   for (size_t i = 0; i < one->count; i++) {
@@ -242,41 +272,59 @@ static int fit_sample(report *of, dipole_client *client, tissue_sample *one) {
   }
   const size_t places = sort_readings(all, one->readings);
   if (places == 0) {
-    return cli_fail("%s: sample %s: each wavelength needs one reading at each of the same places",
-                    of->sheet.source, one->name);
+    cli_fail("%s: sample %s: each wavelength needs one reading at each of the same places",
+             of->sheet.source, one->name);
+    return NULL;
   }
-  double *values = cli_allocate((2 + KEYS) * room, sizeof *values), *errors = values + room;
-  double *keys = errors + room; /* [KEYS][room]: of the wavelengths, and of the places */
+  double *keys =
+      cli_allocate(KEYS * room, sizeof *keys); /* of the wavelengths, and of the places */
   for (size_t i = 0; i < one->readings; i++) {
-    values[i] = all[i].value;
-    errors[i] = all[i].error;
     keys[i / places] = all[i].key[NM];
     for (size_t k = PLACE; k < KEYS; k++) {
       keys[k * room + i % places] = all[i].key[k];
     }
   }
+  *query = of->query;
+  query->tissue.properties = of->properties;
+  query->tissue.wavelengths_nm = keys;
+  query->tissue.wavelength_count = (uint32_t)(one->readings / places);
+  query->axis = of->frequency ? DIPOLE_AXIS_FREQUENCY : DIPOLE_AXIS_RADIUS;
+  query->place_count = (uint32_t)places;
+  query->at = keys + PLACE * room;
+  query->source_mm = query->at + room;
+  query->detector_mm = query->source_mm + room;
+  query->mhz = query->detector_mm + room;
+  query->quantity = query->mhz + room;
+  return all;
+}
+
+static int request(const report *of, dipole_client *client, const char *name,
+                   const dipole_tissue_fit_query *query, dipole_tissue_fits **fits) {
   dipole_error error;
-  dipole_tissue_fit_query query = of->query;
-  query.tissue.properties = of->properties;
-  query.tissue.wavelengths_nm = keys;
-  query.tissue.wavelength_count = (uint32_t)(one->readings / places);
-  query.axis = of->frequency ? DIPOLE_AXIS_FREQUENCY : DIPOLE_AXIS_RADIUS;
-  query.place_count = (uint32_t)places;
-  query.at = keys + PLACE * room;
-  query.source_mm = query.at + room;
-  query.detector_mm = query.source_mm + room;
-  query.mhz = query.detector_mm + room;
-  query.quantity = query.mhz + room;
-  query.values = values;
-  query.errors = errors;
-  const bool good =
-      CLI_RETRY(of->settings, &error, dipole_fit_tissue(client, &query, &one->fits, &error));
-  if (good) {
+  char what[96];
+  if (CLI_RETRY(of->settings, &error, dipole_fit_tissue(client, query, fits, &error))) {
     return CLI_OK;
   }
-  char what[96];
-  snprintf(what, sizeof what, "sample %.80s: ", one->name);
+  snprintf(what, sizeof what, "sample %.80s: ", name);
   return cli_fail_error_of(what, &error);
+}
+
+/* Requests the fit of a sample. */
+static int fit_sample(report *of, dipole_client *client, tissue_sample *one) {
+  dipole_tissue_fit_query query;
+  const reading *all = arrange(of, one, &query);
+  if (all == NULL) {
+    return CLI_FAILED;
+  }
+  double *values = cli_allocate(2 * one->readings, sizeof *values),
+         *errors = values + one->readings;
+  for (size_t i = 0; i < one->readings; i++) {
+    values[i] = all[i].value;
+    errors[i] = all[i].error;
+  }
+  query.values = values;
+  query.errors = errors;
+  return request(of, client, one->name, &query, &one->fits);
 }
 
 /* ---- writing --------------------------------------------------------------------------------- */
@@ -301,22 +349,32 @@ static size_t rows_of_sample(const report *of) {
   return of->query.sought_count + (of->blood ? 2 : 0);
 }
 
+/* Returns unknown k of a set, or the saturation or the total, and sets its name. */
+static dipole_tissue_estimate estimate_of(const report *of, const dipole_tissue_fits *fits,
+                                          size_t set, size_t k, const char **name) {
+  const size_t unknowns = of->query.sought_count;
+  const dipole_fitted_tissue *one = &fits->sets[set];
+  if (k < unknowns) {
+    const dipole_tissue_estimate *found = &fits->estimates[set * unknowns + k];
+    *name = cli_choice_of_id(of->profile.info, DIPOLE_PROPERTY, found->property)->name;
+    return *found;
+  }
+  const bool share = k == unknowns;
+  *name = share ? "saturation" : "total_uM";
+  return (dipole_tissue_estimate){.status = share ? one->saturation_status : one->total_status,
+                                  .value = share ? one->saturation : one->total_uM,
+                                  .error = share ? one->saturation_error : one->total_error_uM,
+                                  .numerical = (double)NAN};
+}
+
 /* Writes one unknown, the saturation or the total of a sample. */
 static void put_estimate(cli_rows *rows, const void *context, size_t index) {
   const report *of = context;
-  const size_t k = index % rows_of_sample(of), unknowns = of->query.sought_count;
-  const tissue_sample *sample = &of->samples[index / rows_of_sample(of)];
+  const size_t each = rows_of_sample(of);
+  const tissue_sample *sample = &of->samples[index / each];
   const dipole_fitted_tissue *set = sample->fits->sets;
-  const bool share = k == unknowns;
-  const char *name = share ? "saturation" : "total_uM";
-  dipole_tissue_estimate one = {.status = share ? set->saturation_status : set->total_status,
-                                .value = share ? set->saturation : set->total_uM,
-                                .error = share ? set->saturation_error : set->total_error_uM,
-                                .numerical = (double)NAN};
-  if (k < unknowns) {
-    one = sample->fits->estimates[k];
-    name = cli_choice_of_id(of->profile.info, DIPOLE_PROPERTY, one.property)->name;
-  }
+  const char *name;
+  const dipole_tissue_estimate one = estimate_of(of, sample->fits, 0, index % each, &name);
   const bool is_free = of->scale->id == DIPOLE_FREE;
   const unsigned with_factor = is_free ? 0U : CLI_IN_CSV | CLI_IN_JSON;
   cli_put_text(rows, sample->name, "sample");
@@ -342,11 +400,166 @@ static void write_foot(const void *context) {
        "errors of R may\nshift a value; chi2 is the sum of the squares of (reading - fit) / error");
 }
 
+/* ---- images ---------------------------------------------------------------------------------- */
+
+/* A map of values and one of errors for each unknown, the saturation and the total; then one of
+ * chi-squared and one of statuses. */
+enum { ESTIMATES_MOST = CORE_PROPERTIES_END + 2 };
+
+struct maps {
+  size_t estimates, bad; /* bad: pixels that were not fitted whole */
+  cli_image images[2 * ESTIMATES_MOST + 2];
+  size_t fitted[ESTIMATES_MOST]; /* pixels */
+  double sums[ESTIMATES_MOST];
+};
+
+/* Reads the images of all readings, [readings]. Says what is wrong and returns false. */
+static bool read_images(const report *of, const reading *all, cli_image *images) {
+  for (size_t i = 0; i < of->samples->readings; i++) {
+    const char *file = of->sheet.labels[all[i].row];
+    const cli_image *one = &images[i];
+    if (!cli_image_read(file, true, &images[i])) {
+      return false;
+    }
+    if (one->channels != 1 || one->width != images->width || one->height != images->height) {
+      return cli_fails("%s: all images have to be grey, and of the size of %s, %zu x %zu", file,
+                       of->sheet.labels[all[0].row], images->width, images->height);
+    }
+  }
+  return true;
+}
+
+/* Takes what was found for row y. */
+static void take_row(report *of, const dipole_tissue_fits *fits, size_t y, const cli_image *like) {
+  struct maps *maps = of->maps;
+  cli_image *last = &maps->images[2 * maps->estimates];
+  for (size_t x = 0, at = y * like->width; x < like->width; x++, at++) {
+    for (size_t k = 0; k < maps->estimates; k++) {
+      const char *name;
+      const dipole_tissue_estimate one = estimate_of(of, fits, x, k, &name);
+      const bool fitted = one.status == DIPOLE_FITTED;
+      maps->images[2 * k].values[at] = fitted ? (float)one.value : NAN;
+      maps->images[2 * k + 1].values[at] = fitted ? (float)one.error : NAN;
+      maps->sums[k] += fitted ? one.value : 0;
+      maps->fitted[k] += fitted;
+    }
+    of->blood = of->blood || !isnan(fits->sets[x].saturation_error);
+    last[0].values[at] = (float)fits->sets[x].chi_squared;
+    last[1].values[at] = fits->sets[x].status;
+    maps->bad += fits->sets[x].status != DIPOLE_FITTED;
+  }
+}
+
+/* Makes room for the maps. */
+static void prepare_maps(report *of, const cli_image *like) {
+  struct maps *maps = of->maps;
+  maps->estimates = of->query.sought_count + 2;
+  for (size_t i = 0; i < 2 * maps->estimates + 2; i++) {
+    maps->images[i] = *like;
+    maps->images[i].values = cli_allocate(like->width * like->height, sizeof(float));
+  }
+}
+
+/* Requests the fits of all pixels, row by row. */
+static int fit_rows(report *of, dipole_client *client, const reading *all, const cli_image *images,
+                    dipole_tissue_fit_query *query) {
+  tissue_sample *one = of->samples;
+  const size_t readings = one->readings, width = images->width, height = images->height;
+  double *values = cli_allocate(2 * readings * width, sizeof *values);
+  double *errors = values + readings * width;
+  int status = CLI_OK;
+  cli_progress progress;
+  query->set_count = width;
+  query->values = values;
+  query->errors = errors;
+  prepare_maps(of, images);
+  cli_progress_start(&progress, "pixels");
+  for (size_t y = 0; y < height && status == CLI_OK; y++) {
+    for (size_t i = 0; i < readings * width; i++) {
+      const reading *of_pixel = &all[i % readings];
+      const double share = cli_sheet_number(&of->sheet, of_pixel->row, RELATIVE);
+      values[i] = (double)images[i % readings].values[y * width + i / readings];
+      errors[i] =
+          hypot(isnan(of_pixel->error) ? 0 : of_pixel->error, isnan(share) ? 0 : share * values[i]);
+    }
+    dipole_tissue_fits_free(one->fits);
+    one->fits = NULL;
+    status = request(of, client, one->name, query, &one->fits);
+    if (status == CLI_OK) {
+      take_row(of, one->fits, y, images);
+    }
+    cli_progress_show(&progress, (double)(y + 1) / (double)height, (double)((y + 1) * width));
+  }
+  cli_progress_wipe(&progress);
+  return status;
+}
+
+/* Writes OUT.pfm as OUT.hbo2_uM.pfm, OUT.hbo2_uM_error.pfm and so on. */
+static bool write_map(const report *of, const char *name, const char *what, size_t i) {
+  const char *out = of->settings->output;
+  char file[4096];
+  snprintf(file, sizeof file, "%.*s%s%s.pfm", (int)strlen(out) - 3, out, name, what);
+  return cli_image_write(file, &of->maps->images[i]);
+}
+
+static bool write_maps(const report *of) {
+  const size_t last = 2 * of->maps->estimates;
+  bool good = write_map(of, "chi2", "", last) && write_map(of, "status", "", last + 1);
+  for (size_t k = 0; good && k < rows_of_sample(of); k++) {
+    const char *name;
+    estimate_of(of, of->samples->fits, 0, k, &name);
+    good = write_map(of, name, "", 2 * k) && write_map(of, name, "_error", 2 * k + 1);
+  }
+  return good;
+}
+
+static void put_map(cli_rows *rows, const void *context, size_t index) {
+  const report *of = context;
+  const size_t fitted = of->maps->fitted[index];
+  const char *name;
+  estimate_of(of, of->samples->fits, 0, index, &name);
+  cli_put_text(rows, name, "unknown");
+  cli_put_count(rows, of->maps->images->width * of->maps->images->height, "pixels");
+  cli_put_count(rows, fitted, "fitted");
+  cli_put_number(rows, of->maps->sums[index] / (double)fitted, "mean", .format = "%.5g",
+                 .missing = "-");
+}
+
+static int fit_images(report *of, dipole_client *client) {
+  dipole_tissue_fit_query query;
+  of->samples->name = cli_copy("images", sizeof "images" - 1);
+  const reading *all = arrange(of, of->samples, &query);
+  cli_image *images = cli_allocate(of->sheet.count, sizeof *images);
+  if (all == NULL || !read_images(of, all, images)) {
+    return CLI_FAILED;
+  }
+  const int status = fit_rows(of, client, all, images, &query);
+  if (status != CLI_OK || !write_maps(of)) {
+    return status != CLI_OK ? status : CLI_FAILED;
+  }
+  const cli_report output = {
+      .facts = put_facts, .rows = rows_of_sample(of), .put_row = put_map, .left = 1};
+  cli_write(&output, of->settings->form, of);
+  return of->maps->bad == 0
+             ? CLI_OK
+             : cli_say(
+                   CLI_BAD_ROWS,
+                   "%s: %zu of %zu pixels were not fitted whole: what is not fitted is NaN; the "
+                   "map status has the ids of `dipole info`",
+                   of->sheet.source, of->maps->bad, images->width * images->height);
+}
+
+/* ---- running --------------------------------------------------------------------------------- */
+
 int cli_fit_tissue_run(const cli_settings *settings, dipole_client *client) {
-  report of = {.settings = settings};
+  static struct maps maps;
+  report of = {.settings = settings, .maps = settings->output != NULL ? &maps : NULL};
   cli_progress progress;
   int status = read_samples(&of);
   status = status == CLI_OK ? take_query(&of, client) : status;
+  if (status == CLI_OK && of.maps != NULL) {
+    return fit_images(&of, client);
+  }
   cli_progress_start(&progress, "samples");
   for (size_t i = 0; status == CLI_OK && i < of.sample_count; i++) {
     status = fit_sample(&of, client, &of.samples[i]);
@@ -356,7 +569,9 @@ int cli_fit_tissue_run(const cli_settings *settings, dipole_client *client) {
   if (status != CLI_OK) {
     return status;
   }
-  of.blood = !isnan(of.samples[0].fits->sets->saturation_error);
+  for (size_t i = 0; i < of.sample_count; i++) { /* refused ones do not have it */
+    of.blood = of.blood || !isnan(of.samples[i].fits->sets->saturation_error);
+  }
   const cli_report output = {.facts = put_facts,
                              .rows = of.sample_count * rows_of_sample(&of),
                              .put_row = put_estimate,

@@ -106,3 +106,52 @@ $ dipole fit bands.csv --tissue liver
 $ cut -d, -f1,3- bands.csv | dipole fit --unknown hbo2 --tissue a=1,b=1
 ! dipole fit: standard input: the column r or f (one of both) is missing; the header has wavelength_nm, R, error; it needs wavelength_nm, r (mm) or f (1/mm), R and error for --unknown, and may have sample, source_mm, detector_mm; of modulated light mhz, phase (degrees), phase_error, modulation, modulation_error
 ? 1
+
+## Images of several bands become maps; here of two pixels, the second without light.
+$ dipole eval --tissue hbo2=56,hb=24,water=.6,a=1.9,b=1.2 --wavelengths 660,735,810,850 --f 0,.1 --wanted R_f --evaluator f64 --format csv | perl -ne 'if ($. == 1) { chomp; @n = split /,/; $at{$n[$_]} = $_ for 0 .. $#n; print "wavelength_nm,f,image,relative_error\n" } else { @c = split /,/; ($nm, $f, $R) = @c[@at{"wavelength_nm", "f", "R_f"}]; open $o, ">", "$nm-$f.pfm"; print $o "Pf\n2 1\n-1\n", pack "f<2", $R, 0; print "$nm,$f,$nm-$f.pfm,.01\n" }' > images.csv; cat images.csv
+wavelength_nm,f,image,relative_error
+660,0,660-0.pfm,.01
+660,0.1,660-0.1.pfm,.01
+735,0,735-0.pfm,.01
+735,0.1,735-0.1.pfm,.01
+810,0,810-0.pfm,.01
+810,0.1,810-0.1.pfm,.01
+850,0,850-0.pfm,.01
+850,0.1,850-0.1.pfm,.01
+
+$ dipole fit images.csv --unknown hbo2,hb,a,b --tissue water=.6 --maps out.pfm; for i in out.*.pfm; do perl -e 'local $/; $_ = <>; s/^Pf\n2 1\n-1.0\n//; printf "%s %.4g %.4g\n", $ARGV, unpack "f<2", $_' $i; done
+water=.6, haemoglobin by prahl, model transport, moments exact, g 0.9, eta 1.4, scale absolute
+
+unknown     pixels  fitted  mean
+----------  ------  ------  ----
+hbo2_uM          2       1    56
+hb_uM            2       1    24
+a_per_mm         2       1   1.9
+b                2       1   1.2
+saturation       2       1   0.7
+total_uM         2       1    80
+out.a_per_mm.pfm 1.9 NaN
+out.a_per_mm_error.pfm 0.05323 NaN
+out.b.pfm 1.2 NaN
+out.b_error.pfm 0.06304 NaN
+out.chi2.pfm 2.033e-08 NaN
+out.hb_uM.pfm 24 NaN
+out.hb_uM_error.pfm 1.301 NaN
+out.hbo2_uM.pfm 56 NaN
+out.hbo2_uM_error.pfm 2.641 NaN
+out.saturation.pfm 0.7 NaN
+out.saturation_error.pfm 0.01903 NaN
+out.status.pfm 1 6
+out.total_uM.pfm 80 NaN
+out.total_uM_error.pfm 2.137 NaN
+! dipole fit: images.csv: 1 of 2 pixels were not fitted whole: what is not fitted is NaN; the map status has the ids of `dipole info`
+
+$ dipole fit images.csv --unknown hbo2,hb --maps out.png; dipole fit images.csv --maps out.pfm; sed s/850-0.pfm/nothing.pfm/ images.csv | dipole fit --unknown hbo2 --maps out.pfm; cut -d, -f1-3 images.csv | dipole fit --unknown hbo2 --maps out.pfm; printf 'Pf\n1 1\n-1\n0000' > 850-0.pfm; dipole fit images.csv --unknown hbo2 --tissue a=1,b=1 --maps out.pfm
+! dipole fit: --maps: out.png does not end with .pfm
+! `dipole fit --help` says more.
+! dipole fit: --maps: give --unknown, too, with what is sought
+! `dipole fit --help` says more.
+! dipole fit: nothing.pfm: No such file or directory
+! dipole fit: standard input: the column error or relative_error is missing; the header has wavelength_nm, f, image; it needs wavelength_nm, r (mm) or f (1/mm), image (a file) and error, or relative_error, for --maps, and may have source_mm, detector_mm, mhz
+! dipole fit: 850-0.pfm: all images have to be grey, and of the size of 660-0.pfm, 2 x 1
+? 1

@@ -213,9 +213,9 @@ async def fit_tissue(
 
     sought: names of info.choices["property"], such as ["hbo2_uM", "hb_uM", "a_per_mm", "b"], or a
     mapping to limits (low, high), None for the usual ones. wavelengths_nm: [W]. at: [P] distances
-    in mm or, with axis="f", spatial frequencies in 1/mm. values: [..., W, P] readings there; a
-    reading that is not finite, or whose error is 0, gives its set the status "refused". errors: their
-    standard errors, of a shape that broadcasts. name, properties, haemoglobin: as of tissue(): what
+    in mm or, with axis="f", spatial frequencies in 1/mm. values: [..., W, P] readings there, such
+    as of images [row, column, W, P]; a reading that is not finite, or whose error is 0, gives its
+    set the status "refused". errors: their standard errors, of a shape that broadcasts. name, properties, haemoglobin: as of tissue(): what
     is not sought, with g=0.9 and eta=1.4 unless they are given, and where the search starts. scale,
     source, detector, residuals: as of fit(); readings over those of a known medium, times R of that
     medium, have no unknown scale. mhz: modulation of the light, one number or [P]; quantity: what
