@@ -8,15 +8,16 @@
  *
  * and together they reflect (A + O) / 2, (a + o) / 2 and transmit (A - O) / 2, (a - o) / 2 + e t.
  *
- * The half space is the limit of a layer that is doubled again and again. The first one's
- * operators come from Cayley transforms with a step beta,
+ * With u = I+ + I- and v = I+ - I-, the equations are v' = -Xm u and u' = -Xp v, and a half space has
+ * v = G u with G Xp G = Xm: G is the geometric mean of Xm and Xp^-1, which is the limit of their
+ * arithmetic and harmonic means A and B (Newton's iteration for a square root),
  *
- *   T +- R = 2 (1 + beta (W -+ V))^-1 - 1,   and so for the beam, with e = (1 - beta) / (1 + beta),
+ *   A' = (A + B) / 2,   B' = 2 (A^-1 + B^-1)^-1 = 2 A - A A'^-1 A,
  *
- * so that the limit solves the expanded equations exactly, for any beta. With Fresnel's
- * reflectance F at the boundary the light on its way up is I- = (1 - R F)^-1 r, and <mu T psi>.I-
- * leaves. Diffuse light has the radiance T(mu) / <mu T> behind the boundary: R <mu T psi> / <mu T>
- * in place of r.
+ * where A and B may be scaled by any number and its reciprocal. With Fresnel's reflectance F at the
+ * boundary, and g the beam's column of G, the light on its way up is I- = -(1 - F + G (1 + F))^-1 g,
+ * and <mu T psi>.I- leaves. Diffuse light has the radiance T(mu) / <mu T> behind the boundary: (1 -
+ * G) <mu T psi> / <mu T> in place of -g. R = 2 (1 + G)^-1 - 1, r = -(1 + G)^-1 g.
  *
  * All matrices have the signs of expansion.h and are symmetric; S has these signs on its diagonal.
  */
@@ -28,11 +29,7 @@
 
 #include "core/transport/functions.h"
 
-enum { DOUBLINGS_MAX = 60, ALIGNMENT_BYTES = 64, SPARE = 3 };
-
-/* Doubling ends when no number of the layer's transmission is larger than this: the next doubling
- * would change the reflection by its square. */
-#define TRANSMISSION_LEAST 1e-8
+enum { ALIGNMENT_BYTES = 64, SPARE = 4 };
 
 typedef struct layer {
   dense reflected, transmitted; /* reflected: R and the column r; transmitted: T and the column t */
@@ -54,6 +51,14 @@ static void add_signs(const expansion *of, const dense *to, double factor) {
       to->re[row * to->stride + row] += m % 2 == 0 ? factor : -factor;
     }
   }
+}
+
+static double sign_of_row(const expansion *of, size_t row) {
+  size_t m = 0;
+  while (m < of->orders && row >= of->first[m + 1]) {
+    m++;
+  }
+  return m % 2 == 0 ? 1 : -1;
 }
 
 static double largest(const dense *of) {
@@ -104,27 +109,6 @@ static void fill_matrix(const struct work *by, const dense *to, const double *ba
   add_signs(of, to, 1);
 }
 
-/* Sets *to to the Cayley transform of W -+ V, whose part for k = 0 is `base`, with the beam's
- * column. The beam is scattered by b+ + sign b-. */
-static bool transform(const struct work *by, const dense *to, const double *base, double sign,
-                      double beta) {
-  const expansion *of = by->of;
-  const dense *a = &by->spare[0], *b = &by->spare[1];
-  fill_matrix(by, a, base, beta);
-  solver_dense_clear(b);
-  add_signs(of, b, 1);
-  for (size_t i = 0; i < of->n; i++) {
-    const double source = of->source[0][i] + sign * of->source[1][i];
-    b->re[i * b->stride + of->n] = of->albedo * beta / (1 + beta) * source;
-  }
-  if (!solver_dense_congruence(to, a, b, &by->spare[2])) {
-    return false;
-  }
-  solver_dense_combine(to, 2, to, 0, to);
-  add_signs(of, to, -1);
-  return true;
-}
-
 /* Sets *to to T (1 - sign R)^-1 T with the column T (1 - sign R)^-1 (t + sign e r). */
 static bool mirror(const struct work *by, const dense *to, const layer *of, double sign) {
   const dense *a = &by->spare[0], *b = &by->spare[1];
@@ -160,22 +144,121 @@ static bool double_up(const struct work *by, layer *of, int times, double least)
   return true;
 }
 
-static bool find_halfspace(const struct work *by, layer *to, double kappa) {
+/* v = S A u at the upper face, where A is symmetric, with a column for the beam: v of the beam is
+ * `beam` times its u. */
+typedef struct relation {
+  dense all;
+  double beam;
+} relation;
+
+static void copy(const dense *to, const dense *from) {
+  solver_dense_combine(to, 1, from, 0, from);
+}
+
+/* Sets *to to step times the base + sign k C + the closure, and the beam's column. */
+static void fill_relation(const struct work *by, relation *to, const double *base, double sign,
+                          double step) {
   const expansion *of = by->of;
-  const dense *r = &to->reflected, *t = &to->transmitted;
-  /* the step: the geometric mean of the decay rates' reciprocals */
-  const double modulus = fn_abs(by->k), degrees = (double)of->first[1];
-  const double slow = sqrt(fn_abs(kappa * kappa + by->k * by->k));
-  const double fast = sqrt(1 + modulus * modulus) * degrees * degrees;
-  const double beta = 1 / sqrt(slow * fast);
-  if (!transform(by, &by->alike, of->even, 1, beta) ||
-      !transform(by, &by->opposite, of->odd, -1, beta)) {
+  struct work mirrored = *by;
+  mirrored.k *= sign;
+  fill_matrix(&mirrored, &to->all, base, step);
+  add_signs(of, &to->all, -1);
+  for (size_t i = 0; i < of->n; i++) {
+    const double source = of->source[0][i] + sign * of->source[1][i];
+    solver_dense_put(&to->all, i, of->n, -step * of->albedo * source);
+  }
+  to->beam = step;
+}
+
+/* Adds to column n of `to` the one of `from`, times `factor`. */
+static void add_column(const dense *to, double factor, const dense *from) {
+  const size_t n = to->rows;
+  for (size_t row = 0; row < n; row++) {
+    solver_dense_put(to, row, n,
+                     solver_dense_get(to, row, n) + factor * solver_dense_get(from, row, n));
+  }
+}
+
+/* Sets *to to g s^-1 g, which may be s but not g. */
+static bool weigh(const struct work *by, relation *to, const relation *g, const relation *s) {
+  const dense *a = &by->spare[0], *b = &by->spare[1];
+  const double ratio = g->beam / s->beam;
+  copy(a, &s->all);
+  copy(b, &g->all);
+  add_column(b, -ratio, &s->all);
+  if (!solver_dense_congruence(&to->all, a, b, &by->spare[2])) {
     return false;
   }
-  solver_dense_combine(r, 0.5, &by->alike, -0.5, &by->opposite);
-  solver_dense_combine(t, 0.5, &by->alike, 0.5, &by->opposite);
-  to->passed = (1 - beta) / (1 + beta);
-  return double_up(by, to, DOUBLINGS_MAX, TRANSMISSION_LEAST) && largest(t) < TRANSMISSION_LEAST;
+  add_column(&to->all, ratio, &g->all);
+  to->beam = ratio * g->beam;
+  return true;
+}
+
+static void combine(relation *to, double x, const relation *a, double y, const relation *b) {
+  solver_dense_combine(&to->all, x, &a->all, y, &b->all);
+  to->beam = x * a->beam + y * b->beam;
+}
+
+static bool invert(const struct work *by, relation *to, const relation *of) {
+  relation one = {by->spare[3], 1};
+  solver_dense_clear(&one.all);
+  for (size_t i = 0; i < by->of->n; i++) {
+    one.all.re[i * one.all.stride + i] = 1;
+  }
+  return weigh(by, to, &one, of);
+}
+
+enum { MEANS_MAX = 60 };
+
+/* Means that differ by this little, relative, are off by its square. */
+#define MEANS_APART 1e-6
+
+/* Sets *to to the relation of a half space: the limit of the means of two. */
+static bool find_halfspace(const struct work *by, relation *to, double kappa) {
+  const expansion *of = by->of;
+  relation a = {by->alike, 0}, b = {by->opposite, 0}, apart = {by->spare[3], 0};
+  /* The first pair has the decay rates, times a step, and their reciprocals. Of many media, this
+   * step and these scales of the next pairs led to the fewest means. */
+  static const double scales[] = {1, 0.31, 0.78};
+  const double modulus = fn_abs(by->k), degrees = (double)of->first[1];
+  const double slow = fmin(1, sqrt(fn_abs(kappa * kappa + by->k * by->k)));
+  const double step = 2 / (degrees * sqrt(slow) * sqrt((1 + modulus) * sqrt(1 + modulus)));
+  fill_relation(by, &a, of->even, 1, step);
+  fill_relation(by, &b, of->odd, -1, step);
+  if (!invert(by, &b, &b)) {
+    return false;
+  }
+  for (size_t i = 0; i < MEANS_MAX; i++) {
+    const double scale = i < sizeof scales / sizeof *scales ? scales[i] : 1;
+    combine(&a, scale, &a, 0, &a);
+    combine(to, 0.5, &a, 0.5 / scale, &b);
+    combine(&apart, 1, &a, -1 / scale, &b);
+    if (largest(&apart.all) < MEANS_APART * largest(&to->all)) {
+      return true;
+    }
+    if (!weigh(by, &b, &a, to)) {
+      return false;
+    }
+    combine(&b, 2, &a, -1, &b);
+    combine(&a, 1, to, 0, to);
+  }
+  return false;
+}
+
+/* Sets *to to the R of a half space. */
+static bool reflect(const struct work *by, const dense *to, const relation *half) {
+  const dense *a = &by->spare[0], *b = &by->spare[1];
+  copy(a, &half->all);
+  add_signs(by->of, a, 1);
+  solver_dense_clear(b);
+  add_signs(by->of, b, 1);
+  add_column(b, -0.5, &half->all);
+  if (!solver_dense_congruence(to, a, b, &by->spare[2])) {
+    return false;
+  }
+  solver_dense_combine(to, 2, to, 0, to);
+  add_signs(by->of, to, -1);
+  return true;
 }
 
 /* Sets the upward light of a beam after one scattering: (E + 1) I- = a b-. */
@@ -190,31 +273,39 @@ static bool scatter_once(const struct work *by, const dense *to) {
   return solver_dense_solve(a, to);
 }
 
-/* Sets the upward light of a beam, and of diffuse light, under a boundary. */
-static bool light_up(const struct work *by, const dense *to, const layer *half, size_t boundary) {
+/* Sets the upward light of a beam, and of diffuse light, under a boundary: with F its reflectance,
+ * (S (1 - F) + A (1 + F)) I- is minus the beam's column, or S - A times the diffuse light. */
+static bool light_up(const struct work *by, const dense *to, const relation *half,
+                     size_t boundary) {
   const expansion *of = by->of;
   const dense *a = &by->spare[0], *f = &by->spare[1];
   const double *exit = of->exit[boundary][0];
   solver_dense_clear(f);
   for (size_t row = 0; row < of->n; row++) {
-    double complex diffuse = 0;
+    double complex diffuse = sign_of_row(of, row) * exit[row];
     for (size_t i = 0; i < of->n; i++) {
       f->re[row * f->stride + i] = of->reflection[boundary][row * of->n + i];
-      diffuse += solver_dense_get(&half->reflected, row, i) * exit[i];
+      diffuse -= solver_dense_get(&half->all, row, i) * exit[i];
     }
-    solver_dense_put(to, row, 0, solver_dense_get(&half->reflected, row, of->n));
+    solver_dense_put(to, row, 0, -solver_dense_get(&half->all, row, of->n));
     solver_dense_put(to, row, 1, diffuse / of->entering[boundary]);
   }
-  dense square = half->reflected;
+  dense square = half->all;
   square.columns = of->n;
   solver_dense_multiply(a, &square, f);
-  solver_dense_combine(a, -1, a, 0, a);
-  add_signs(of, a, 1);
+  solver_dense_combine(a, 1, a, 1, &half->all);
+  for (size_t row = 0; row < of->n; row++) {
+    const double sign = sign_of_row(of, row);
+    for (size_t i = 0; i < of->n; i++) {
+      a->re[row * a->stride + i] -= sign * f->re[row * f->stride + i];
+    }
+    a->re[row * a->stride + row] += sign;
+  }
   return solver_dense_solve(a, to);
 }
 
 /* Memory for one wavenumber. */
-enum { MATRICES = 7 };
+enum { MATRICES = SPARE + 4 };
 struct memory {
   double *all;
   struct work work;
@@ -238,9 +329,10 @@ static bool reserve(struct memory *to, const expansion *of, double complex k) {
   for (size_t i = 0; i < MATRICES; i++) {
     matrix[i] = solver_dense_at(of->isa, &next, n, n + 1, is_complex);
   }
-  to->work = (struct work){of, k, {matrix[0], matrix[1], matrix[2]}, matrix[3], matrix[4], NULL};
+  to->work = (struct work){of,        k,         {matrix[0], matrix[1], matrix[2], matrix[3]},
+                           matrix[4], matrix[5], NULL};
   to->work.spare[0].columns = n;
-  to->half = (layer){matrix[5], matrix[6], 0};
+  to->half = (layer){matrix[6], matrix[7], 0};
   to->once = solver_dense_at(of->isa, &next, n, 2, is_complex);
   to->lit = solver_dense_at(of->isa, &next, n, 2, is_complex);
   to->work.closing = (double complex *)next;
@@ -256,9 +348,10 @@ bool solver_layer_halfspace(const expansion *of, double complex k, double kappa,
   }
   const struct work *by = &memory.work;
   const dense *once = &memory.once, *lit = &memory.lit;
-  bool ok = find_halfspace(by, &memory.half, kappa) && scatter_once(by, once);
+  relation half = {memory.half.reflected, 0};
+  bool ok = find_halfspace(by, &half, kappa) && scatter_once(by, once);
   for (size_t i = 0; i < of->boundaries.count && ok; i++) {
-    ok = light_up(by, lit, &memory.half, i);
+    ok = light_up(by, lit, &half, i);
     exitance[i] = (layer_exitance){0};
     for (size_t row = 0; row < of->first[1] && ok; row++) {
       exitance[i].single += of->exit[i][0][row] * solver_dense_get(once, row, 0);
@@ -274,14 +367,6 @@ bool solver_layer_halfspace(const expansion *of, double complex k, double kappa,
 }
 
 /* ---- layers of finite thickness ------------------------------------------------------------ */
-
-static double sign_of_row(const expansion *of, size_t row) {
-  size_t m = 0;
-  while (m < of->orders && row >= of->first[m + 1]) {
-    m++;
-  }
-  return m % 2 == 0 ? 1 : -1;
-}
 
 /* Sets *to to step times the matrix of -v' = Xm u or -u' = Xp v: the base for k = 0 with k C and
  * the closure, the beam's column -a (b+ + sign b-), and 1 in the corner; with a column and a row
@@ -453,8 +538,9 @@ bool solver_layer_operators(const layer_operators *to, const expansion *of, doub
   if (ok && isinf(depth)) {
     solver_dense_clear(&to->reflected);
     solver_dense_clear(&to->reflected_once);
-    ok = find_halfspace(&memory.work, &memory.half, kappa) &&
-         scatter_once(&memory.work, &memory.once);
+    relation half = {memory.half.transmitted, 0};
+    ok = find_halfspace(&memory.work, &half, kappa) && scatter_once(&memory.work, &memory.once) &&
+         reflect(&memory.work, &memory.half.reflected, &half);
     exchange(&memory.work, &to->reflected, &memory.half.reflected, false);
     for (size_t row = 0; row < n; row++) {
       solver_dense_put(&to->reflected_once, row, 0, solver_dense_get(&memory.once, row, 0));
