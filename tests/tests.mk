@@ -92,7 +92,7 @@ check-unit: $(TESTS) ## tests in C
 	@UNIT_LIMIT_S=$(UNIT_LIMIT_S) bash tests/run-units.sh $(BUILD)/logs $(TESTS)
 
 # Those that have a long form.
-LONG_TESTS := $(addprefix $(BUILD)/tests/,unit/test_kernels unit/test_inverter accuracy/test_anisotropic accuracy/test_derivative accuracy/test_fit_layers accuracy/test_lut accuracy/test_models accuracy/test_montecarlo accuracy/test_transport_g accuracy/test_transport_solved accuracy/test_transport_table)
+LONG_TESTS := $(addprefix $(BUILD)/tests/,unit/test_kernels unit/test_inverter accuracy/test_anisotropic accuracy/test_derivative accuracy/test_fit_layers accuracy/test_layers accuracy/test_lut accuracy/test_models accuracy/test_montecarlo accuracy/test_transport_g accuracy/test_transport_solved accuracy/test_transport_table)
 check-units-long: $(LONG_TESTS)
 	@UNIT_LONG=yes bash tests/run-units.sh $(BUILD)/logs-nightly $(LONG_TESTS)
 
