@@ -9,7 +9,8 @@ TEST_SUPPORT := $(call objects,$(filter-out $(wildcard tests/*/test_*.c) $(wildc
 # ---- programs ------------------------------------------------------------------------------------
 
 $(TESTS): $(BUILD)/tests/%: $(OBJ)/tests/%.o $(TEST_SUPPORT) $(BUILD)/libdipole.a
-$(TESTS): LIBS = -lcmocka $(TLS_LIBS) $(CORE_LIBS) $(TEST_LIBS)
+# Memory that nothing can free any more is a failure of the test that lost it.
+$(TESTS): LIBS = -lcmocka $(TLS_LIBS) $(CORE_LIBS) $(TEST_LIBS) $(if $(SANITIZE),,-fsanitize=leak)
 
 # The daemon's cache, input, histograms and Modbus, tested without a daemon, and a worker with clients
 # of the test's own.

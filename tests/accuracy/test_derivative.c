@@ -210,3 +210,28 @@ UNIT_TEST(ends_have_their_limits) {
     }
   }
 }
+
+/* From next to the source, where series and limits take over, to far away, r dR_dr / R is the slope of
+ * ln R over ln r. */
+UNIT_TEST(slopes_are_those_of_R_at_every_distance) {
+  static const core_medium media[] = {{0.03, 0.7, 0, 1.3}, {1e-4, 1, 0, 1.4}, {1, 0.2, 0, 1}};
+  const double h = 0.01;
+  for (size_t m = 0; m < sizeof models / sizeof models[0]; m++) {
+    for (size_t i = 0; i < sizeof media / sizeof media[0]; i++) {
+      const core_medium medium = unit_medium(models[m], &media[i]);
+      core_profile profile = unit_profile(models[m], CORE_EVALUATOR_F64, &medium, NULL);
+      for (double r = 1e-20; r < 30; r *= 30) {
+        const double near = unit_value_at(&profile, CORE_QUANTITY_R, r * exp(-h));
+        const double far = unit_value_at(&profile, CORE_QUANTITY_R, r * exp(h));
+        const double R = unit_value_at(&profile, CORE_QUANTITY_R, r);
+        const double slope = r * unit_value_at(&profile, CORE_QUANTITY_SLOPE, r) / R;
+        const double expected = log(far / near) / (2 * h);
+        if (R > 0 && !(fabs(slope - expected) <= 1e-3 * (1 + fabs(expected)))) {
+          fail_msg("model %u, medium %zu, at %g mm: slope %.9g, not %.9g", models[m], i, r, slope,
+                   expected);
+        }
+      }
+      core_profile_free(&profile);
+    }
+  }
+}

@@ -65,8 +65,9 @@ def test_a_free_factor_and_a_reference(client, readings):
     ratio = readings / client.eval("better", known, AT_MM).R[0]
     found = client.fit("better", AT_MM, ratio, 0.01 * ratio, eta=1.4, reference=known)
     np.testing.assert_allclose([found.sigma_a, found.sigma_s_prime], [0.03, 1.2], rtol=1e-6)
-    with pytest.raises(dipole.ArgumentError, match="reference"):
-        client.fit("better", AT_MM, ratio, ratio, scale="reference", eta=1.3)
+    for wrong in (None, [known, known]):
+        with pytest.raises(dipole.ArgumentError, match="reference"):
+            client.fit("better", AT_MM, ratio, ratio, scale="reference", eta=1.3, reference=wrong)
 
 
 def test_shapes(client, readings):

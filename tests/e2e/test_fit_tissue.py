@@ -98,3 +98,19 @@ def test_another_table_of_haemoglobin_gives_other_amounts(daemon):
         assert 84 < other.sets["total"] < 96
         with pytest.raises(ArgumentError):
             client.fit_tissue(sought, NM, AT_MM, R.T, 0.01 * R.T)
+
+
+@pytest.mark.parametrize("nm, known", [([800, 850], True), ([560, 800], False), ([800, 560], False)])
+def test_fibres_reach_the_daemon_and_an_unknown_model_error_is_not_lost(daemon, nm, known):
+    """The share of light within an aperture is unknown far from a fibre where blood absorbs much."""
+    truth, at_mm = {"hbo2_uM": 56, "hb_uM": 24, "a_per_mm": 1.9, "b": 1.2}, [2.0, 12.0]
+    one = daemon("--http", "127.0.0.1:0")
+    with one.client() as client:
+        R = 0.09 * client.eval("transport", client.tissue(nm, properties=truth), at_mm, evaluator="f64").R
+        sought, given = ["hb_uM", "a_per_mm"], {"hbo2_uM": 56, "b": 1.2}
+        fibres = {"source": [0.2, 0.3], "detector": [0.6, 0.5], "detector_na": 0.3}
+        fits = client.fit_tissue(sought, nm, at_mm, R, 0.05 * R, properties=given, **fibres)
+        assert np.isfinite(fits.sets["model_error"]) == known
+        lists = {"values": R.ravel().tolist(), "errors": (0.05 * R).ravel().tolist()}
+        reply = post(one, "/v1/fit_tissue", sought=sought, wavelength=nm, at=at_mm, **lists, **given, **fibres).json
+        assert [each["value"] for each in reply["estimates"]] == [e["value"] for e in fits.estimates.values()]

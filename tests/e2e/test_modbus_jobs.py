@@ -470,15 +470,15 @@ def commit_fit(master: Tcp, unit: int, token: int, values, errors) -> list[int]:
 
 
 def fit_results(master: Tcp, unit: int) -> np.ndarray:
-    """Returns sigma_a, sigma_s_prime, their errors, the correlation and chi-squared."""
-    return as_floats(master.read(AT["FIT_SIGMA_A"], 12, unit))
+    """Returns all registers from sigma_a to the second medium."""
+    return as_floats(master.read(AT["FIT_SIGMA_A"], 26, unit))
 
 
 def expected_results(found) -> np.ndarray:
-    return np.array([
-        found.sigma_a, found.sigma_s_prime, found.sigma_a_error, found.sigma_s_prime_error,
-        found.correlation, found.chi_squared,
-    ])  # fmt: skip
+    own = [found.sigma_a, found.sigma_s_prime, found.sigma_a_error, found.sigma_s_prime_error, found.correlation]
+    names = ["chi_squared", "reduced_chi_squared", "factor", "variance_factor", "condition"]
+    names += ["second_sigma_a", "second_sigma_s_prime", "second_chi_squared"]
+    return np.array(own + [found.sets[n] ** (0.5 if n == "variance_factor" else 1) for n in names])
 
 
 def test_a_fit_has_the_values_of_the_wire(master, client):
@@ -529,6 +529,20 @@ def test_a_fit_has_the_values_of_the_wire(master, client):
     found = client.fit("better", FIT_AT_MM, ratio, spread, eta=eta, reference=single_known)
     np.testing.assert_allclose(fit_results(master, unit), expected_results(found), rtol=1e-5)
     assert abs(found.sigma_a - 0.03) < 3 * found.sigma_a_error
+
+
+@pytest.mark.parametrize("scale, at_mm", [("absolute", (1.0, 2.0)), ("free", FIT_AT_MM)])
+def test_a_second_medium_and_a_factor_have_registers(master, client, scale, at_mm):
+    unit, eta = 94, single([1.3])[0]
+    R = 2 * client.eval("better", (0.6624, 2.789, 0.0, eta), at_mm).R[0]
+    values = np.float32(R / (2 if scale == "absolute" else 1))
+    errors = np.float32(0.05 * values)
+    master.write(AT["FIT_READING_COUNT"], words(len(at_mm)) + floats(*at_mm), unit)
+    setting(master, unit, ETA=floats(1.3), FIT_SCALE=client.info.choices["scale"][scale].id)
+    commit_fit(master, unit, 7, values, errors)
+    found = client.fit("better", at_mm, values, errors, eta=eta, scale=scale)
+    assert found.status == "ambiguous" and (found.factor == pytest.approx(2, rel=1e-5)) == (scale == "free")
+    np.testing.assert_allclose(fit_results(master, unit), expected_results(found), rtol=1e-5, atol=1e-9)
 
 
 @pytest.mark.parametrize("count, fibre_mm", [(3, 0), (4, 0), (25, 0), (3, 0.2), (6, 0.2), (25, 0.2)])

@@ -11,6 +11,7 @@ import time
 import dipole
 import pytest
 from beside import SoakLoad
+from command_line import Proxy, busy
 from daemons import NOWHERE, PROGRAM, Daemon, eventually, nowhere
 from frames import EVAL, SKIN, SPECTRALON, R, eval_payload, frame
 
@@ -298,6 +299,19 @@ def test_busy_is_asked_again(daemon):
             assert collected_id == request_id
             assert (result.R == before.R).all()
             assert client.statistics()["replies_busy"] >= 1
+
+
+def test_a_pause_beyond_the_clients_patience_is_not_cut_short(daemon):
+    asked = []
+
+    def refuse(number: int, request_id: int) -> bytes:
+        asked.append(number)
+        return busy(request_id, retry_after_ms=3_600_000)
+
+    with Proxy(daemon().url(), refuse) as proxy, dipole.Client(proxy.url, retry_s=RETRY_S) as client:
+        with pytest.raises(dipole.Refused):
+            client.eval("better", SKIN, [1.0])
+    assert asked == [0]
 
 
 def holding_frame() -> bytes:

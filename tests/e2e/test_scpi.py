@@ -221,6 +221,7 @@ def test_layers_slabs_and_frequencies(shared, raw):
         skin = client.eval("transport", "skin1", [1.0], evaluator="lut")
     assert np.float32(raw.ask("MED 0.1,2,0,1.4,3;:T? 1")) == slab.T[0, 0]
     assert np.float32(raw.ask("MED:NAME SKIN1;CHAN 3;:R? 1")) == skin.R[2, 0]
+    assert raw.ask("MED:NAME SKIN1;CHAN 3;NAME SKIN1;CHAN?") == "1"
     layered = raw.ask("MED 0.1,2,0,1.4,1;LAY2 0.05,1,0,1.4;LAY2?;:R? 1").split(";")
     assert layered[0] == "0.05,1,0,1.4,0" and 0 < float(layered[1]) < 1
     albedo, at_0 = raw.ask("MED 0.1,2,0,1.4;:EVAL F64;:ALB?;:R:FREQ? 0").split(";")

@@ -2,6 +2,7 @@
 
 import functools
 import math
+import pickle
 import re
 import zlib
 
@@ -108,6 +109,7 @@ def test_radii_that_a_model_does_not_cover(client):
 
 def test_shapes(client):
     table = client.table("better", SKIN)
+    assert "better" in repr(pickle.loads(pickle.dumps(table)))
     assert table.R(1.0).shape == () and table.R([[1.0, 2.0]]).shape == (1, 2)
     assert table.cdf([]).shape == (0,) and table.radius(0.5).shape == ()
     assert table.R(1).dtype == np.float32

@@ -51,8 +51,10 @@ def test_a_value_that_is_wrong_is_named_and_the_others_are_answered(client):
     statuses = client.info.choices["value"]
     for evaluator in ("f64", "f32"):
         found = client.varying("better", sigma_a=sigma_a, sigma_s=sigma_s, r=r,
-                               wanted=["R", "albedo"], coefficients="sigma_a", evaluator=evaluator)
+                               wanted=["R", "albedo"], evaluator=evaluator,
+                               coefficients=["sigma_a", "sigma_s", "scattered"])
         assert [statuses[name].id for name in names] == found.statuses.tolist()
+        np.testing.assert_allclose(found["scattered"][found.computed], 1 / 1.1, rtol=1e-6)
         for array in (found["R"], found["albedo"], found["sigma_a"]):
             np.testing.assert_array_equal(np.isnan(array), ~found.computed)
         assert set(found.faults) == set(names) - {"ok"}
@@ -191,6 +193,8 @@ def test_a_surface_keeps_shapes_and_its_frame(client, tmp_path):
             surface.media(0.5, 1.0, light=light, specular=specular)
     with pytest.raises(dipole.ArgumentError):
         surface.media(0.5, 1.0, given="miles")
+    with pytest.raises(dipole.ArgumentError, match="light"):
+        client.surface("better").media(0.5, 1.0, light="diffuse")
     with pytest.raises(dipole.ArgumentError):
         surface.R([0.1, 0.2], [1.0, 1.0, 1.0], 1.0)
     assert pickle.loads(pickle.dumps(again)).R(0.1, 1.0, 0.5) == again.R(0.1, 1.0, 0.5)
@@ -216,3 +220,17 @@ def test_the_model_error_has_no_array_of_its_own(client):
     one = client.varying("transport", wanted=["R", "model_error"], **how)
     assert list(one.quantities) == ["R"]
     assert np.array_equal(one["R"], client.varying("transport", wanted="R", **how)["R"])
+
+
+@pytest.mark.parametrize("numbers", [{"r": [0.3, 0.5, 3.0, 8.0]}, {"u": [0.2, 0.5, 0.7, 0.9]}])
+def test_the_model_error_is_the_largest_of_the_values_alone(client, numbers):
+    (name, given), sigma_a = *numbers.items(), [0.05, 0.1, 0.02, 0.4]
+    radii = client.varying("better", sigma_a=sigma_a, sigma_s=1.0, wanted="r", **numbers)["r"] if name == "u" else given
+    errors = []
+    for media, value, r in zip(sigma_a, given, radii):
+        alone = client.varying("better", sigma_a=media, sigma_s=1.0, wanted=["R", "model_error"], **{name: value})
+        single = client.eval("better", Medium(media, 1.0), [r], wanted=["R", "model_error"])
+        assert alone.model_error == pytest.approx(single.model_error[0], abs=2e-3)
+        errors.append(alone.model_error)
+    both = client.varying("better", sigma_a=sigma_a, sigma_s=1.0, wanted=["R", "model_error"], **numbers)
+    assert both.model_error == pytest.approx(max(errors), abs=2e-3)
