@@ -260,8 +260,9 @@ void core_eval_f32(const core_profile *profile, enum core_quantity quantity, siz
 
 void core_eval_any(const core_profile *profile, enum core_quantity quantity, size_t n,
                    const double *r, double *out) {
-  float narrow_r[CORE_EVAL_ANY_MAX] = {0}, value[CORE_EVAL_ANY_MAX];
+  float narrow_r[CORE_EVAL_ANY_MAX], value[CORE_EVAL_ANY_MAX];
   assert(n <= CORE_EVAL_ANY_MAX);
+  narrow_r[0] = 0; /* GCC warns of an array that may have no elements */
   if (profile->evaluator == CORE_EVALUATOR_F64) {
     core_eval_f64(profile, quantity, n, r, out);
     return;

@@ -114,31 +114,30 @@ double core_error_beyond(core_reach reach, double most_mm) {
   return exponent < 7 ? real_exp_signed(exponent) - 1 : (double)INFINITY;
 }
 
-/* Returns how many edges between bands are below a radius in mean free paths. */
-static size_t edges_below(double mfp) {
-  size_t count = 0;
-  for (size_t i = 1; i < CORE_ERROR_BANDS; i++) {
-    count += core_error_edges_mfp[i] < mfp;
-  }
-  return count;
-}
-
 double core_banded_error(const double errors[CORE_ERROR_BANDS + 1], double all,
                          const core_medium *medium, unsigned wanted, core_radii_range radii) {
   enum {
     ANY = CORE_QUANTITY_CDF | CORE_QUANTITY_SLOPE | CORE_QUANTITY_PDF | CORE_QUANTITY_TRANSFER
   };
-  const double sigma_t_prime = core_sigma_t_prime(medium);
   const bool at_radii = radii.least_mm <= radii.most_mm;
   if (at_radii && (wanted & ANY) != 0) {
     return all;
   }
-  const bool of_R = at_radii && (wanted & (LIKE_R | CORE_QUANTITY_LN_R)) != 0;
-  double error = of_R && (wanted & CORE_QUANTITY_ALBEDO) == 0 ? 0 : errors[CORE_ERROR_BANDS];
-  const size_t first = edges_below(radii.least_mm * sigma_t_prime * (1 + SLACK));
-  const size_t last = edges_below(radii.most_mm * sigma_t_prime * (1 - SLACK));
-  for (size_t band = first; of_R && (band == first || band <= last); band++) {
-    error = fmax(error, errors[band]);
+  if (!at_radii || (wanted & (LIKE_R | CORE_QUANTITY_LN_R)) == 0) {
+    return errors[CORE_ERROR_BANDS];
+  }
+  const double *edges = core_error_edges_mfp;
+  const double sigma_t_prime = core_sigma_t_prime(medium);
+  const double least = radii.least_mm * sigma_t_prime * (1 + SLACK);
+  const double most = radii.most_mm * sigma_t_prime * (1 - SLACK);
+  size_t band = 0;
+  while (band + 1 < CORE_ERROR_BANDS && edges[band + 1] < least) {
+    band++;
+  }
+  double error = (wanted & CORE_QUANTITY_ALBEDO) == 0 ? 0 : errors[CORE_ERROR_BANDS];
+  error = real_max(error, errors[band]);
+  while (band + 1 < CORE_ERROR_BANDS && edges[band + 1] < most) {
+    error = real_max(error, errors[++band]);
   }
   return error;
 }
@@ -191,13 +190,16 @@ core_stated_errors core_profile_errors(const core_profile *profile, unsigned wan
                                      CORE_QUANTITY_MODEL_ERROR | CORE_QUANTITY_MODEL_ERRORS |
                                      CORE_QUANTITY_RADIUS | CORE_QUANTITY_BALANCE);
 
-  const double most_mm = (wanted & FOLLOWS_R) != 0 ? radii.most_mm : 0;
-  const double numerical = core_banded_error(profile->numerical_errors, profile->numerical_error,
-                                             &profile->medium, wanted, radii);
-  const double slope = (wanted & CORE_QUANTITY_SLOPE) != 0 ? profile->slope_error : 0;
-  const double of_others = fmax(numerical, slope) + core_error_beyond(profile->reach, most_mm) +
-                           ((wanted & CORE_QUANTITY_S) != 0 ? CORE_S_ERROR : 0) +
-                           ((wanted & CORE_QUANTITY_TRANSFER) != 0 ? CORE_TRANSFER_ERROR : 0);
+  double of_others = 0;
+  if (others != 0) {
+    const double numerical = core_banded_error(profile->numerical_errors, profile->numerical_error,
+                                               &profile->medium, wanted, radii);
+    of_others =
+        real_max(numerical, (wanted & CORE_QUANTITY_SLOPE) != 0 ? profile->slope_error : 0) +
+        core_error_beyond(profile->reach, (wanted & FOLLOWS_R) != 0 ? radii.most_mm : 0) +
+        ((wanted & CORE_QUANTITY_S) != 0 ? CORE_S_ERROR : 0) +
+        ((wanted & CORE_QUANTITY_TRANSFER) != 0 ? CORE_TRANSFER_ERROR : 0);
+  }
   const bool has_T = (wanted & CORE_QUANTITY_T) != 0 && profile->T_errors[0] > 0 &&
                      radii.least_mm <= radii.most_mm;
   const double of_T =
@@ -208,12 +210,14 @@ core_stated_errors core_profile_errors(const core_profile *profile, unsigned wan
     return (core_stated_errors){.numerical = (double)INFINITY};
   }
   const core_stated_errors errors = {
-      .numerical = fmax(fmax(fmax(others != 0 ? of_others : 0, of_T),
-                             (wanted & CORE_QUANTITY_BALANCE) != 0 ? profile->balance_error : 0),
-                        derivatives ? derivative_error(profile, radii) : 0),
-      .numerical_per_mm = fmax(
+      .numerical =
+          real_max(real_max(real_max(of_others, of_T),
+                            (wanted & CORE_QUANTITY_BALANCE) != 0 ? profile->balance_error : 0),
+                   derivatives ? derivative_error(profile, radii) : 0),
+      .numerical_per_mm = real_max(
           (others & ~(unsigned)CORE_QUANTITY_ALBEDO) != 0 ? profile->numerical_error_per_mm : 0,
           derivatives ? profile->derivative_error_per_mm : 0),
   };
-  return add_light(profile, wanted, errors, radii);
+  return (wanted & (CORE_PATHS | CORE_MODULATED)) != 0 ? add_light(profile, wanted, errors, radii)
+                                                       : errors;
 }

@@ -36,7 +36,7 @@ static double off_by(enum core_quantity quantity, double value, double truth, do
   if (isnan(value)) {
     return (double)INFINITY;
   }
-  const double apart = fmax(fabs(value - truth) - least, 0);
+  const double apart = real_max(fabs(value - truth) - least, 0);
   return quantity == CORE_QUANTITY_LN_R || quantity == CORE_QUANTITY_CDF ? apart
          : quantity == CORE_QUANTITY_TRANSFER                            ? apart / albedo
          : apart > 0                                                     ? apart / fabs(truth)
@@ -102,25 +102,25 @@ static double error_of_albedo(const core_profile *profile, const core_profile *t
  * grows if CORE_RULER_RADII are not enough. */
 #define RULER_STEP 0.125
 
-void core_requested_ends(core_requested_radii *requested, bool single) {
+/* Returns the radii above 0 and below infinity between which all others of a request lie. single: they
+ * are of single precision. */
+static core_radii_range ends_of(const core_requested_radii *requested, bool single) {
   const core_grid *grid = &requested->grid;
-  core_radii_range *ends = &requested->ends;
-  *ends = (core_radii_range){grid->start_mm, grid->stop_mm};
-  if (requested->listed == NULL && !(grid->start_mm > 0)) {
-    *ends = (core_radii_range){(double)INFINITY, grid->stop_mm};
-    if (grid->count > 1) {
-      core_grid_radii_f64(grid, 1, 1, &ends->least_mm);
+  core_radii_range ends = {grid->start_mm, grid->stop_mm};
+  if (requested->listed == NULL) {
+    if (!(grid->start_mm > 0)) {
+      core_grid_radii_f64(grid, 1, 1, &ends.least_mm);
     }
+    return ends;
   }
-  if (requested->listed != NULL) {
-    *ends = (core_radii_range){(double)INFINITY, 0};
-    for (uint64_t i = 0; i < grid->count; i++) {
-      const double r = single ? (double)((const float *)requested->listed)[i]
-                              : ((const double *)requested->listed)[i];
-      ends->least_mm = r > 0 ? fmin(ends->least_mm, r) : ends->least_mm;
-      ends->most_mm = r < (double)INFINITY ? fmax(ends->most_mm, r) : ends->most_mm;
-    }
+  ends = (core_radii_range){(double)INFINITY, 0};
+  for (uint64_t i = 0; i < grid->count; i++) {
+    const double r = single ? (double)((const float *)requested->listed)[i]
+                            : ((const double *)requested->listed)[i];
+    ends.least_mm = r > 0 ? real_min(ends.least_mm, r) : ends.least_mm;
+    ends.most_mm = r < (double)INFINITY ? real_max(ends.most_mm, r) : ends.most_mm;
   }
+  return ends;
 }
 
 /* Sets r[] to the radii at which models are compared. *between: whether the request has radii
@@ -131,7 +131,7 @@ static size_t choose_radii(const core_requested_radii *requested, bool single, d
   core_grid grid = requested->grid;
   *between = grid.count > CORE_RULER_RADII;
   if (*between) {
-    core_radii_range ends = requested->ends;
+    core_radii_range ends = ends_of(requested, single);
     ends.least_mm = fmax(ends.least_mm, CORE_GRID_LOG_MIN_MM);
     /* the request has one positive, finite radius, or none */
     if (!(ends.least_mm < ends.most_mm)) {
@@ -217,7 +217,6 @@ core_model_errors core_model_errors_measure(const core_profile *profile,
     const core_requested_radii band = {
         {CORE_SPACING_LOGARITHMIC, CORE_GRID_COUNT_MAX, edge[0] * mfp_mm, edge[1] * mfp_mm},
         NULL,
-        {edge[0] * mfp_mm, edge[1] * mfp_mm},
         {edge[0] * mfp_mm, edge[1] * mfp_mm}};
     const double error = core_model_error(profile, transport, CORE_QUANTITY_R, &band);
     errors.error[i] = isinf(error) ? (double)NAN : error;

@@ -29,13 +29,7 @@ typedef struct core_requested_radii {
   core_grid grid;
   const void *listed;     /* the list; NULL: the radii are the grid's */
   core_radii_range range; /* as core_radii_check_f64() sets it */
-  /* as set by core_requested_ends(); not used if there are at most CORE_RULER_RADII radii */
-  core_radii_range ends;
 } core_requested_radii;
-
-/* Sets requested->ends to the radii above 0 and below infinity between which all others of the request
- * lie. single: they are of single precision. */
-void core_requested_ends(core_requested_radii *requested, bool single);
 
 /* Sets error[n], n up to CORE_RULER_RADII, to how far the wanted quantities of a profile are from
  * those of the ruler at radii r[n] in mm, in the precision of the profile's evaluator: the largest

@@ -92,12 +92,16 @@ struct digits {
   int exponent;
 };
 
-/* For 32-bit machines, which have no type of 128 bits. */
 static struct power multiply(uint64_t a, uint64_t b) {
+#ifdef __SIZEOF_INT128__
+  __extension__ const unsigned __int128 whole = (unsigned __int128)a * b;
+  return (struct power){(uint64_t)(whole >> 64), (uint64_t)whole};
+#else /* 32-bit machines have no such type */
   const uint64_t a_low = (uint32_t)a, b_low = (uint32_t)b, a_high = a >> 32, b_high = b >> 32;
   const uint64_t low = a_low * b_low, one = a_high * b_low + (low >> 32);
   const uint64_t other = a_low * b_high + (uint32_t)one;
   return (struct power){a_high * b_high + (one >> 32) + (other >> 32), other << 32 | (uint32_t)low};
+#endif
 }
 
 /* Returns the product of a power and a number, in units of 2^128. Its last bit is also set if any

@@ -344,9 +344,7 @@ static uint64_t least_cost(const struct eval_job *eval) {
 /* Returns the radii for which the channel's model error is stated. */
 static core_requested_radii requested_radii(const struct eval_job *eval) {
   if (!eval->drawn) {
-    core_requested_radii requested = {eval->grid, eval->request.radii, eval->radii, {0, 0}};
-    core_requested_ends(&requested, eval->value_bytes == sizeof(float));
-    return requested;
+    return (core_requested_radii){eval->grid, eval->request.radii, eval->radii};
   }
   const core_profile *profile = &eval->lookup.profile;
   double ends[] = {DRAWN_BEYOND, 1 - DRAWN_BEYOND};
@@ -361,7 +359,7 @@ static core_requested_radii requested_radii(const struct eval_job *eval) {
   const core_grid one = {CORE_SPACING_LINEAR, 1, 0, 0}; /* nothing scatters: all radii are 0 */
   const core_grid many = {CORE_SPACING_LOGARITHMIC, CORE_GRID_COUNT_MAX, ends[0], ends[1]};
   const bool spread = ends[0] > 0 && ends[1] < (double)INFINITY;
-  return (core_requested_radii){spread ? many : one, NULL, {0, 0}, {ends[0], ends[1]}};
+  return (core_requested_radii){spread ? many : one, NULL, {0, 0}};
 }
 
 static double model_error(const struct eval_job *eval, unsigned wanted,

@@ -56,8 +56,7 @@ static enum lookup_state get_profiles(struct offers_job *offers, unsigned model,
 /* Raises the errors of the model to those for this medium. */
 static void compare_model(struct offers_job *offers, bool known) {
   const struct eval_job *eval = &offers->eval;
-  core_requested_radii requested = {eval->grid, eval->request.radii, eval->radii, {0, 0}};
-  core_requested_ends(&requested, eval->value_bytes == sizeof(float));
+  const core_requested_radii requested = {eval->grid, eval->request.radii, eval->radii};
   const unsigned wanted = request_of(offers).wanted;
   double model = (double)INFINITY, numerical = (double)INFINITY;
   if (known) {

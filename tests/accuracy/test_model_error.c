@@ -28,8 +28,7 @@ static core_profile ruler_of(core_medium medium) {
 
 static double error_between(const core_profile *profile, const core_profile *ruler, unsigned wanted,
                             enum core_spacing spacing, uint64_t count, double from, double to) {
-  core_requested_radii asked = {{spacing, count, from, to}, NULL, {from, to}, {0, 0}};
-  core_requested_ends(&asked, false);
+  core_requested_radii asked = {{spacing, count, from, to}, NULL, {from, to}};
   return core_model_error(profile, ruler, wanted, &asked);
 }
 
@@ -44,7 +43,7 @@ UNIT_TEST(the_better_dipole_is_off_by_what_is_said) {
   core_profile truth = prepared_with(CORE_MODEL_TRANSPORT, CORE_EVALUATOR_F64, red, &tight);
   core_profile ruler = ruler_of(red);
   const double r = 1;
-  const core_requested_radii asked = {{CORE_SPACING_LIST, 1, 0, 0}, &r, {r, r}, {0, 0}};
+  const core_requested_radii asked = {{CORE_SPACING_LIST, 1, 0, 0}, &r, {r, r}};
   const double off = fabs(
       unit_value_at(&better, CORE_QUANTITY_R, r) / unit_value_at(&truth, CORE_QUANTITY_R, r) - 1);
   const double stated = core_model_error(&better, &ruler, CORE_QUANTITY_R, &asked);
@@ -103,7 +102,7 @@ UNIT_TEST(a_list_has_the_largest_error_of_its_radii) {
   core_profile profile = prepared(CORE_MODEL_BETTER, CORE_EVALUATOR_F64, medium);
   core_profile ruler = ruler_of(medium);
   const double r[] = {3, 0, 0.5, (double)INFINITY, 1};
-  const core_requested_radii asked = {{CORE_SPACING_LIST, 5, 0, 0}, r, {0, 3}, {0, 0}};
+  const core_requested_radii asked = {{CORE_SPACING_LIST, 5, 0, 0}, r, {0, 3}};
   double error[5];
   core_model_errors_at(&profile, &ruler, CORE_QUANTITY_R, 5, r, error);
   const double most = fmax(fmax(error[0], error[2]), error[4]);
@@ -115,7 +114,7 @@ UNIT_TEST(a_list_has_the_largest_error_of_its_radii) {
   const unsigned both = CORE_QUANTITY_R | CORE_QUANTITY_ALBEDO;
   assert_true(core_model_error(&profile, &ruler, both, &asked) == fmax(most, albedo));
   /* all at 0: transport diverges, but not 2 pi r R */
-  const core_requested_radii zero = {{CORE_SPACING_LIST, 1, 0, 0}, &r[1], {0, 0}, {0, 0}};
+  const core_requested_radii zero = {{CORE_SPACING_LIST, 1, 0, 0}, &r[1], {0, 0}};
   assert_true(isnan(core_model_error(&profile, &ruler, CORE_QUANTITY_R, &zero)));
   assert_true(core_model_error(&profile, &ruler, CORE_QUANTITY_RING, &zero) >= 1);
   core_profile_free(&profile);
@@ -204,7 +203,7 @@ static double R_at(const core_profile *profile, double r_mm) {
 UNIT_TEST(gamma_of_henyey_greenstein_changes_nothing) {
   core_profile usual = prepared(CORE_MODEL_TRANSPORT, CORE_EVALUATOR_F64, medium_of(0.1, 0.5, 1.4));
   core_profile same = prepared_with_gamma(medium_of(0.1, 0.5, 1.4), 1.5);
-  const core_requested_radii asked = {{CORE_SPACING_LINEAR, 2, 1, 1}, NULL, {1, 1}, {0, 0}};
+  const core_requested_radii asked = {{CORE_SPACING_LINEAR, 2, 1, 1}, NULL, {1, 1}};
   assert_true(R_at(&same, 1) == R_at(&usual, 1) && same.albedo == usual.albedo);
   assert_true((same.notes & CORE_NOTE_GAMMA) != 0 && (same.notes & CORE_NOTE_SIMILARITY) == 0);
   assert_true(core_model_error(&usual, NULL, CORE_QUANTITY_R, &asked) == 0);

@@ -1068,7 +1068,6 @@ static void check_model_errors(uint64_t *random) {
       const core_requested_radii asked = {
           {CORE_SPACING_LOGARITHMIC, CORE_GRID_COUNT_MAX, range.least_mm, range.most_mm},
           NULL,
-          range,
           range};
       const double stated = core_model_error(profile, &ruler, wanted, &asked);
       if (isfinite(stated)) {
