@@ -216,18 +216,14 @@ bool solver_dense_solve(const dense *a, const dense *b) {
   return true;
 }
 
-/* ---- symmetric matrices -----------------------------------------------------------------------
- */
+/* ---- symmetric matrices --------------------------------------------------------------------- */
 
-/* Number of rows of a triangle that are computed together, as a rectangle up to the last column. A
- * multiple of PANEL. */
-enum { STRIP = 64 };
-
-/* Adds sign * a b to the upper triangle of the symmetric matrix `to`, from row `first` on. */
+/* Adds sign * a b to the upper triangle of the symmetric matrix `to`, from row `first` on: rectangles
+ * of PANEL rows up to the last column. */
 static void add_triangle(const dense *to, size_t first, const dense *a, const dense *b,
                          double sign) {
-  for (size_t row = first; row < to->rows; row += STRIP) {
-    const size_t rows = row + STRIP < to->rows ? STRIP : to->rows - row;
+  for (size_t row = first; row < to->rows; row += PANEL) {
+    const size_t rows = row + PANEL < to->rows ? PANEL : to->rows - row;
     const dense part = within(to, row, row, rows, to->columns - row);
     const dense left = within(a, row, 0, rows, a->columns);
     const dense right = within(b, 0, row, b->rows, b->columns - row);

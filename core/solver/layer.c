@@ -1,25 +1,23 @@
-/* A layer that is lit from one side reflects R and transmits T of the light. Of a beam, whose part
- * e passes, it scatters r back and t on. The beam is one more direction: r and t are a column more
- * of R and T. Both faces are alike. Two equal layers that are lit alike from both sides, or with
- * opposite signs, have a mirror between them:
+/* With u = I+ + I- and v = I+ - I-, and the beam as one more direction, the equations are v' = -Xm u
+ * and u' = -Xp v. A layer of half a thickness whose far side is a mirror has v = A u at the other
+ * one, where A is like tanh, and one whose far side has u = 0 has v = B u, where B is like coth. A
+ * layer of twice this thickness has their harmonic and arithmetic mean,
  *
- *   A = R + T (1 - R)^-1 T,   a = r + T (1 - R)^-1 (t + e r),
- *   O = R - T (1 + R)^-1 T,   o = r - T (1 + R)^-1 (t - e r),
+ *   A' = 2 (A^-1 + B^-1)^-1 = 2 A - A B'^-1 A,   B' = (A + B) / 2.
  *
- * and together they reflect (A + O) / 2, (a + o) / 2 and transmit (A - O) / 2, (a - o) / 2 + e t.
+ * Light that passes thick layers has its digits in D = B - A: with S = A + B, D' = D S^-1 D / 2 and
+ * S' = S - D'. A layer begins as tanh x = 1 / (1 / x + 1 / (3 / x + x / 5)), x = h Xm / 2 with
+ * Xp in turn. Over what has v = Z u, it has v = (S - D (S / 2 + Z)^-1 D / 2) u / 2.
  *
- * With u = I+ + I- and v = I+ - I-, the equations are v' = -Xm u and u' = -Xp v, and a half space has
- * v = G u with G Xp G = Xm: G is the geometric mean of Xm and Xp^-1, which is the limit of their
- * arithmetic and harmonic means A and B (Newton's iteration for a square root),
- *
- *   A' = (A + B) / 2,   B' = 2 (A^-1 + B^-1)^-1 = 2 A - A A'^-1 A,
- *
- * where A and B may be scaled by any number and its reciprocal. With Fresnel's reflectance F at the
+ * A half space has v = G u with G Xp G = Xm: G is the geometric mean of Xm and Xp^-1, which is the
+ * limit of the same means (Newton's iteration for a square root),
+ * where A and B may be scaled by any number and its reciprocal first. With Fresnel's reflectance F at the
  * boundary, and g the beam's column of G, the light on its way up is I- = -(1 - F + G (1 + F))^-1 g,
  * and <mu T psi>.I- leaves. Diffuse light has the radiance T(mu) / <mu T> behind the boundary: (1 -
  * G) <mu T psi> / <mu T> in place of -g. R = 2 (1 + G)^-1 - 1, r = -(1 + G)^-1 g.
  *
- * All matrices have the signs of expansion.h and are symmetric; S has these signs on its diagonal.
+ * All matrices have the signs of expansion.h and are symmetric; S there has these signs on its
+ * diagonal.
  */
 #include "core/solver/layer.h"
 
@@ -29,12 +27,7 @@
 
 #include "core/transport/functions.h"
 
-enum { ALIGNMENT_BYTES = 64, SPARE = 4 };
-
-typedef struct layer {
-  dense reflected, transmitted; /* reflected: R and the column r; transmitted: T and the column t */
-  double passed;                /* e: the share of the beam that passes */
-} layer;
+enum { ALIGNMENT_BYTES = 64, SPARE = LAYER_SPARE + 1 };
 
 /* The matrices and inputs for one wavenumber. */
 struct work {
@@ -109,55 +102,13 @@ static void fill_matrix(const struct work *by, const dense *to, const double *ba
   add_signs(of, to, 1);
 }
 
-/* Sets *to to T (1 - sign R)^-1 T with the column T (1 - sign R)^-1 (t + sign e r). */
-static bool mirror(const struct work *by, const dense *to, const layer *of, double sign) {
-  const dense *a = &by->spare[0], *b = &by->spare[1];
-  const size_t n = by->of->n;
-  solver_dense_combine(a, -sign, &of->reflected, 0, &of->reflected);
-  add_signs(by->of, a, 1);
-  solver_dense_combine(b, 1, &of->transmitted, 0, &of->transmitted);
-  for (size_t row = 0; row < n; row++) {
-    solver_dense_put(b, row, n,
-                     solver_dense_get(b, row, n) +
-                         sign * of->passed * solver_dense_get(&of->reflected, row, n));
-  }
-  return solver_dense_congruence(to, a, b, &by->spare[2]);
-}
-
-/* Doubles a layer `times` times, or until no more than `least` passes it. */
-static bool double_up(const struct work *by, layer *of, int times, double least) {
-  const dense *r = &of->reflected, *t = &of->transmitted, *a = &by->alike, *o = &by->opposite;
-  const size_t n = by->of->n;
-  for (int i = 0; i < times && !(largest(t) < least); i++) {
-    if (!mirror(by, a, of, 1) || !mirror(by, o, of, -1)) {
-      return false;
-    }
-    solver_dense_combine(r, 1, r, 0.5, a);
-    solver_dense_combine(r, 1, r, -0.5, o);
-    for (size_t row = 0; row < n; row++) {
-      solver_dense_put(a, row, n,
-                       solver_dense_get(a, row, n) + 2 * of->passed * solver_dense_get(t, row, n));
-    }
-    solver_dense_combine(t, 0.5, a, 0.5, o);
-    of->passed *= of->passed;
-  }
-  return true;
-}
-
-/* v = S A u at the upper face, where A is symmetric, with a column for the beam: v of the beam is
- * `beam` times its u. */
-typedef struct relation {
-  dense all;
-  double beam;
-} relation;
-
 static void copy(const dense *to, const dense *from) {
   solver_dense_combine(to, 1, from, 0, from);
 }
 
 /* Sets *to to step times the base + sign k C + the closure, and the beam's column. */
-static void fill_relation(const struct work *by, relation *to, const double *base, double sign,
-                          double step) {
+static void fill_relation(const struct work *by, layer_relation *to, const double *base,
+                          double sign, double step) {
   const expansion *of = by->of;
   struct work mirrored = *by;
   mirrored.k *= sign;
@@ -179,14 +130,24 @@ static void add_column(const dense *to, double factor, const dense *from) {
   }
 }
 
-/* Sets *to to g s^-1 g, which may be s but not g. */
-static bool weigh(const struct work *by, relation *to, const relation *g, const relation *s) {
-  const dense *a = &by->spare[0], *b = &by->spare[1];
+/* Returns a spare matrix as one of another's shape. */
+static dense shaped_like(const dense *spare, const dense *like) {
+  dense made = *like;
+  made.re = spare->re;
+  made.im = like->im == NULL ? NULL : spare->im;
+  return made;
+}
+
+bool solver_layer_weigh(const dense spare[LAYER_SPARE], layer_relation *to, const layer_relation *g,
+                        const layer_relation *s) {
+  dense a = shaped_like(&spare[0], &s->all);
+  const dense b = shaped_like(&spare[1], &s->all), more = shaped_like(&spare[2], &s->all);
   const double ratio = g->beam / s->beam;
-  copy(a, &s->all);
-  copy(b, &g->all);
-  add_column(b, -ratio, &s->all);
-  if (!solver_dense_congruence(&to->all, a, b, &by->spare[2])) {
+  copy(&a, &s->all);
+  copy(&b, &g->all);
+  add_column(&b, -ratio, &s->all);
+  a.columns = a.rows;
+  if (!solver_dense_congruence(&to->all, &a, &b, &more)) {
     return false;
   }
   add_column(&to->all, ratio, &g->all);
@@ -194,29 +155,90 @@ static bool weigh(const struct work *by, relation *to, const relation *g, const 
   return true;
 }
 
-static void combine(relation *to, double x, const relation *a, double y, const relation *b) {
+void solver_layer_combine(layer_relation *to, double x, const layer_relation *a, double y,
+                          const layer_relation *b) {
   solver_dense_combine(&to->all, x, &a->all, y, &b->all);
   to->beam = x * a->beam + y * b->beam;
 }
 
-static bool invert(const struct work *by, relation *to, const relation *of) {
-  relation one = {by->spare[3], 1};
+/* Sets *to to 2 / (1 + from) - 1, which may be `from`: the reflectance, I- = S R I+, if `from` is a
+ * relation, and the relation if it is a reflectance. */
+static bool exchange(const dense spare[LAYER_SPARE], const expansion *of, layer_relation *to,
+                     const layer_relation *from) {
+  dense a = shaped_like(&spare[0], &from->all);
+  const dense b = shaped_like(&spare[1], &from->all), more = shaped_like(&spare[2], &from->all);
+  copy(&a, &from->all);
+  add_signs(of, &a, 1);
+  a.columns = a.rows;
+  solver_dense_clear(&b);
+  add_signs(of, &b, 1);
+  add_column(&b, -1 / (1 + from->beam), &from->all);
+  if (!solver_dense_congruence(&to->all, &a, &b, &more)) {
+    return false;
+  }
+  solver_dense_combine(&to->all, 2, &to->all, 0, &to->all);
+  add_signs(of, &to->all, -1);
+  to->beam = (1 - from->beam) / (1 + from->beam);
+  return true;
+}
+
+/* Multiplies the rows of a matrix by their signs. */
+static void change_signs(const expansion *of, const dense *to) {
+  for (size_t row = 0; row < of->n; row++) {
+    for (size_t i = 0; i < to->columns && sign_of_row(of, row) < 0; i++) {
+      solver_dense_put(to, row, i, -solver_dense_get(to, row, i));
+    }
+  }
+}
+
+bool solver_layer_reflect(const dense spare[LAYER_SPARE], const expansion *of, const dense *to,
+                          const layer_relation *from) {
+  layer_relation mirrored = {*to, 0};
+  mirrored.all.rows = of->n;
+  solver_dense_clear(to);
+  const bool ok = exchange(spare, of, &mirrored, from);
+  change_signs(of, &mirrored.all);
+  solver_dense_put(to, of->n, of->n, mirrored.beam);
+  return ok;
+}
+
+bool solver_layer_relate(const dense spare[LAYER_SPARE], const expansion *of, layer_relation *to,
+                         const dense *from) {
+  dense rows = *from;
+  rows.rows = of->n;
+  copy(&to->all, &rows);
+  to->beam = creal(solver_dense_get(from, of->n, of->n));
+  change_signs(of, &to->all);
+  return exchange(spare, of, to, to);
+}
+
+void solver_layer_apply(const dense *v, const expansion *of, const layer_relation *relation,
+                        const dense *u) {
+  dense rows = *v;
+  rows.rows = of->n;
+  solver_dense_multiply(&rows, &relation->all, u);
+  change_signs(of, &rows);
+  solver_dense_put(v, of->n, 0, relation->beam * solver_dense_get(u, of->n, 0));
+}
+
+static bool invert(const struct work *by, layer_relation *to, const layer_relation *of) {
+  layer_relation one = {by->spare[3], 1};
   solver_dense_clear(&one.all);
   for (size_t i = 0; i < by->of->n; i++) {
     one.all.re[i * one.all.stride + i] = 1;
   }
-  return weigh(by, to, &one, of);
+  return solver_layer_weigh(by->spare, to, &one, of);
 }
 
 enum { MEANS_MAX = 60 };
 
 /* Means that differ by this little, relative, are off by its square. */
-#define MEANS_APART 1e-6
+#define MEANS_APART 1e-5
 
 /* Sets *to to the relation of a half space: the limit of the means of two. */
-static bool find_halfspace(const struct work *by, relation *to, double kappa) {
+static bool find_halfspace(const struct work *by, layer_relation *to, double kappa) {
   const expansion *of = by->of;
-  relation a = {by->alike, 0}, b = {by->opposite, 0}, apart = {by->spare[3], 0};
+  layer_relation a = {by->alike, 0}, b = {by->opposite, 0}, apart = {by->spare[3], 0};
   /* The first pair has the decay rates, times a step, and their reciprocals. Of many media, this
    * step and these scales of the next pairs led to the fewest means. */
   static const double scales[] = {1, 0.31, 0.78};
@@ -230,35 +252,19 @@ static bool find_halfspace(const struct work *by, relation *to, double kappa) {
   }
   for (size_t i = 0; i < MEANS_MAX; i++) {
     const double scale = i < sizeof scales / sizeof *scales ? scales[i] : 1;
-    combine(&a, scale, &a, 0, &a);
-    combine(to, 0.5, &a, 0.5 / scale, &b);
-    combine(&apart, 1, &a, -1 / scale, &b);
+    solver_layer_combine(&a, scale, &a, 0, &a);
+    solver_layer_combine(to, 0.5, &a, 0.5 / scale, &b);
+    solver_layer_combine(&apart, 1, &a, -1 / scale, &b);
     if (largest(&apart.all) < MEANS_APART * largest(&to->all)) {
       return true;
     }
-    if (!weigh(by, &b, &a, to)) {
+    if (!solver_layer_weigh(by->spare, &b, &a, to)) {
       return false;
     }
-    combine(&b, 2, &a, -1, &b);
-    combine(&a, 1, to, 0, to);
+    solver_layer_combine(&b, 2, &a, -1, &b);
+    solver_layer_combine(&a, 1, to, 0, to);
   }
   return false;
-}
-
-/* Sets *to to the R of a half space. */
-static bool reflect(const struct work *by, const dense *to, const relation *half) {
-  const dense *a = &by->spare[0], *b = &by->spare[1];
-  copy(a, &half->all);
-  add_signs(by->of, a, 1);
-  solver_dense_clear(b);
-  add_signs(by->of, b, 1);
-  add_column(b, -0.5, &half->all);
-  if (!solver_dense_congruence(to, a, b, &by->spare[2])) {
-    return false;
-  }
-  solver_dense_combine(to, 2, to, 0, to);
-  add_signs(by->of, to, -1);
-  return true;
 }
 
 /* Sets the upward light of a beam after one scattering: (E + 1) I- = a b-. */
@@ -273,43 +279,40 @@ static bool scatter_once(const struct work *by, const dense *to) {
   return solver_dense_solve(a, to);
 }
 
-/* Sets the upward light of a beam, and of diffuse light, under a boundary: with F its reflectance,
- * (S (1 - F) + A (1 + F)) I- is minus the beam's column, or S - A times the diffuse light. */
-static bool light_up(const struct work *by, const dense *to, const relation *half,
-                     size_t boundary) {
-  const expansion *of = by->of;
-  const dense *a = &by->spare[0], *f = &by->spare[1];
+bool solver_layer_light_up(const dense spare[LAYER_SPARE], const expansion *of, const dense *to,
+                           const layer_relation *under, size_t boundary) {
+  const dense a = shaped_like(&spare[0], &under->all), f = shaped_like(&spare[1], &under->all);
   const double *exit = of->exit[boundary][0];
-  solver_dense_clear(f);
+  solver_dense_clear(&f);
   for (size_t row = 0; row < of->n; row++) {
     double complex diffuse = sign_of_row(of, row) * exit[row];
     for (size_t i = 0; i < of->n; i++) {
-      f->re[row * f->stride + i] = of->reflection[boundary][row * of->n + i];
-      diffuse -= solver_dense_get(&half->all, row, i) * exit[i];
+      f.re[row * f.stride + i] = of->reflection[boundary][row * of->n + i];
+      diffuse -= solver_dense_get(&under->all, row, i) * exit[i];
     }
-    solver_dense_put(to, row, 0, -solver_dense_get(&half->all, row, of->n));
+    solver_dense_put(to, row, 0, -solver_dense_get(&under->all, row, of->n));
     solver_dense_put(to, row, 1, diffuse / of->entering[boundary]);
   }
-  dense square = half->all;
-  square.columns = of->n;
-  solver_dense_multiply(a, &square, f);
-  solver_dense_combine(a, 1, a, 1, &half->all);
+  dense square = under->all, left = a;
+  square.columns = left.columns = of->n;
+  solver_dense_multiply(&a, &square, &f);
+  solver_dense_combine(&a, 1, &a, 1, &under->all);
   for (size_t row = 0; row < of->n; row++) {
     const double sign = sign_of_row(of, row);
     for (size_t i = 0; i < of->n; i++) {
-      a->re[row * a->stride + i] -= sign * f->re[row * f->stride + i];
+      a.re[row * a.stride + i] -= sign * f.re[row * f.stride + i];
     }
-    a->re[row * a->stride + row] += sign;
+    a.re[row * a.stride + row] += sign;
   }
-  return solver_dense_solve(a, to);
+  return solver_dense_solve(&left, to);
 }
 
 /* Memory for one wavenumber. */
-enum { MATRICES = SPARE + 4 };
+enum { MATRICES = SPARE + 3 };
 struct memory {
   double *all;
   struct work work;
-  layer half;
+  dense half;
   dense once, lit; /* [n][2] */
 };
 
@@ -332,7 +335,7 @@ static bool reserve(struct memory *to, const expansion *of, double complex k) {
   to->work = (struct work){of,        k,         {matrix[0], matrix[1], matrix[2], matrix[3]},
                            matrix[4], matrix[5], NULL};
   to->work.spare[0].columns = n;
-  to->half = (layer){matrix[6], matrix[7], 0};
+  to->half = matrix[6];
   to->once = solver_dense_at(of->isa, &next, n, 2, is_complex);
   to->lit = solver_dense_at(of->isa, &next, n, 2, is_complex);
   to->work.closing = (double complex *)next;
@@ -348,10 +351,10 @@ bool solver_layer_halfspace(const expansion *of, double complex k, double kappa,
   }
   const struct work *by = &memory.work;
   const dense *once = &memory.once, *lit = &memory.lit;
-  relation half = {memory.half.reflected, 0};
+  layer_relation half = {memory.half, 0};
   bool ok = find_halfspace(by, &half, kappa) && scatter_once(by, once);
   for (size_t i = 0; i < of->boundaries.count && ok; i++) {
-    ok = light_up(by, lit, &half, i);
+    ok = solver_layer_light_up(by->spare, of, lit, &half, i);
     exitance[i] = (layer_exitance){0};
     for (size_t row = 0; row < of->first[1] && ok; row++) {
       exitance[i].single += of->exit[i][0][row] * solver_dense_get(once, row, 0);
@@ -368,30 +371,20 @@ bool solver_layer_halfspace(const expansion *of, double complex k, double kappa,
 
 /* ---- layers of finite thickness ------------------------------------------------------------ */
 
-/* Sets *to to step times the matrix of -v' = Xm u or -u' = Xp v: the base for k = 0 with k C and
- * the closure, the beam's column -a (b+ + sign b-), and 1 in the corner; with a column and a row
- * more, those are apart: -a b+, -a sign b-, and 1 in both corners. */
-static void fill_rates(const struct work *by, const dense *to, const double *base, double sign,
-                       double step) {
+/* Sets *to to step times the matrix of -v' = Xm u for light that is not scattered again: E, with the
+ * closure, the columns of what scatters of a beam, -a b+ and -a sign b-, and 1 in both corners. */
+static void fill_rates(const struct work *by, const dense *to, double sign, double step) {
   const expansion *of = by->of;
-  const size_t n = of->n, last = of->first[of->orders];
-  const bool apart = to->columns == n + 2;
+  const size_t n = of->n;
   solver_dense_clear(to);
+  fill_matrix(by, to, of->unit, step);
+  add_signs(of, to, -1);
   for (size_t i = 0; i < n; i++) {
-    const double factor = step * sign_of_row(of, i);
     for (size_t j = 0; j < n; j++) {
-      double complex value = base[i * n + j] + by->k * of->slant[i * n + j];
-      if (i >= last && j >= last) {
-        value += by->closing[(i - last) * (n - last) + j - last];
-      }
-      solver_dense_put(to, i, j, factor * value);
+      solver_dense_put(to, i, j, sign_of_row(of, i) * solver_dense_get(to, i, j));
     }
-    const double on = -step * of->albedo * of->source[0][i];
-    const double back = -step * of->albedo * sign * of->source[1][i];
-    solver_dense_put(to, i, n, apart ? on : on + back);
-    if (apart) {
-      solver_dense_put(to, i, n + 1, back);
-    }
+    solver_dense_put(to, i, n, -step * of->albedo * of->source[0][i]);
+    solver_dense_put(to, i, n + 1, -step * of->albedo * sign * of->source[1][i]);
   }
   for (size_t i = n; i < to->columns; i++) {
     solver_dense_put(to, i, i, step);
@@ -441,33 +434,13 @@ static int halvings_of(const expansion *of, double complex k, double depth) {
 static void double_once(const layer_operators *to, const dense *spare) {
   const size_t n = to->passed_once.rows - 1;
   const double passed = creal(solver_dense_get(&to->passed_once, n, n));
-  dense back = to->reflected_once, more = *spare;
-  more.columns = 1;
-  more.stride = back.stride;
+  const dense back = to->reflected_once, twice = shaped_like(spare, &to->passed_once);
+  const dense more = shaped_like(spare, &back);
   solver_dense_put(&back, n, 0, 0);
   solver_dense_multiply(&more, &to->passed_once, &back);
   solver_dense_combine(&back, 1, &back, passed, &more);
-  solver_dense_multiply(spare, &to->passed_once, &to->passed_once);
-  solver_dense_combine(&to->passed_once, 1, spare, 0, spare);
-}
-
-/* Converts R and T with the beam from the signs of this file to the outer ones, or `inwards`. */
-static void exchange(const struct work *by, const dense *outer, const dense *inner, bool inwards) {
-  const size_t n = by->of->n;
-  for (size_t row = 0; row < n; row++) {
-    const double sign = sign_of_row(by->of, row);
-    for (size_t column = 0; column <= n; column++) {
-      const dense *from = inwards ? outer : inner, *to = inwards ? inner : outer;
-      solver_dense_put(to, row, column, sign * solver_dense_get(from, row, column));
-    }
-  }
-}
-
-static dense shaped(const dense *of, size_t rows) {
-  dense made = *of;
-  made.rows = made.columns = rows;
-  made.stride = solver_dense_size(1, rows);
-  return made;
+  solver_dense_multiply(&twice, &to->passed_once, &to->passed_once);
+  copy(&to->passed_once, &twice);
 }
 
 /* Sets what a thin layer scatters at most once. Without more scattering Xm and Xp are alike but for
@@ -476,8 +449,8 @@ static bool find_once(const struct work *by, const layer_operators *to, const de
                       double step) {
   const expansion *of = by->of;
   const size_t n = of->n;
-  fill_rates(by, &thin[2], of->unit, 1, step);
-  fill_rates(by, &thin[3], of->unit, -1, step);
+  fill_rates(by, &thin[2], 1, step);
+  fill_rates(by, &thin[3], -1, step);
   if (!pade(&thin[0], &thin[2], &thin[3], &thin[4], &thin[5])) {
     return false;
   }
@@ -490,58 +463,67 @@ static bool find_once(const struct work *by, const layer_operators *to, const de
   return true;
 }
 
+/* Light that passes a layer is not followed below this share. */
 #define PASSED_LEAST 1e-20
 
-static bool find_layer(const struct work *by, layer *half, const layer_operators *to,
-                       const dense *thin, double depth) {
+static bool find_layer(const struct work *by, layer_operators *to, const dense *thin,
+                       double depth) {
   const expansion *of = by->of;
   const int halvings = halvings_of(of, by->k, depth);
   const double step = 0.5 * ldexp(depth, -halvings);
-  const size_t n = of->n;
   if (!find_once(by, to, thin, step)) {
     return false;
   }
-  dense square[THIN];
-  for (size_t i = 0; i < THIN; i++) {
-    square[i] = shaped(&thin[i], n + 1);
-  }
   for (int i = 0; i < halvings; i++) {
-    double_once(to, &square[0]);
+    double_once(to, &thin[0]);
   }
-  const dense *alike = &square[0], *opposite = &square[1], *xm = &square[2], *xp = &square[3];
-  fill_rates(by, xm, of->even, 1, step);
-  fill_rates(by, xp, of->odd, -1, step);
-  if (!pade(alike, xm, xp, &square[4], &square[5]) ||
-      !pade(opposite, xp, xm, &square[4], &square[5])) {
+  layer_relation *sum = &to->sum, *a = &to->apart, x = {by->alike, 0}, b = {by->opposite, 0};
+  fill_relation(by, &x, of->even, 1, step);
+  fill_relation(by, &b, of->odd, -1, step);
+  if (!invert(by, &b, &b)) {
     return false;
   }
-  solver_dense_combine(&to->reflected, 0.5, alike, -0.5, opposite);
-  solver_dense_combine(&to->transmitted, 0.5, alike, 0.5, opposite);
-  exchange(by, &to->reflected, &half->reflected, true);
-  exchange(by, &to->transmitted, &half->transmitted, true);
-  half->passed = creal(solver_dense_get(&to->transmitted, n, n));
-  if (!double_up(by, half, halvings, PASSED_LEAST)) {
+  solver_layer_combine(sum, 1.2, &x, 3, &b);
+  if (!solver_layer_weigh(by->spare, a, &x, sum)) {
     return false;
   }
-  exchange(by, &to->reflected, &half->reflected, false);
-  exchange(by, &to->transmitted, &half->transmitted, false);
-  solver_dense_put(&to->transmitted, n, n, half->passed);
+  solver_layer_combine(a, 1, &x, -1, a);
+  solver_layer_combine(sum, 1, &x, 15, &b);
+  if (!solver_layer_weigh(by->spare, sum, &x, sum)) {
+    return false;
+  }
+  solver_layer_combine(&x, 1, &x, -1, sum);
+  solver_layer_combine(&b, 1, &b, 1.0 / 3, &x);
+  int i = 0;
+  for (; i < halvings && ldexp(step, i) * (1 + fn_abs(by->k)) < 0.5; i++) {
+    solver_layer_combine(sum, 0.5, a, 0.5, &b);
+    if (!solver_layer_weigh(by->spare, &b, a, sum)) {
+      return false;
+    }
+    solver_layer_combine(a, 2, a, -1, &b);
+    solver_layer_combine(&b, 1, sum, 0, sum);
+  }
+  solver_layer_combine(sum, 1, a, 1, &b);
+  solver_layer_combine(a, -1, a, 1, &b);
+  for (; i < halvings && largest(&a->all) > PASSED_LEAST; i++) {
+    if (!solver_layer_weigh(by->spare, &b, a, sum)) {
+      return false;
+    }
+    solver_layer_combine(a, 0.5, &b, 0, &b);
+    solver_layer_combine(sum, 1, sum, -1, a);
+  }
   return true;
 }
 
-bool solver_layer_operators(const layer_operators *to, const expansion *of, double complex k,
+bool solver_layer_operators(layer_operators *to, const expansion *of, double complex k,
                             double kappa, double depth) {
   const size_t n = of->n, size = solver_dense_size(n + 2, n + 2);
   struct memory memory;
   double *more = NULL;
   bool ok = reserve(&memory, of, k);
   if (ok && isinf(depth)) {
-    solver_dense_clear(&to->reflected);
     solver_dense_clear(&to->reflected_once);
-    relation half = {memory.half.transmitted, 0};
-    ok = find_halfspace(&memory.work, &half, kappa) && scatter_once(&memory.work, &memory.once) &&
-         reflect(&memory.work, &memory.half.reflected, &half);
-    exchange(&memory.work, &to->reflected, &memory.half.reflected, false);
+    ok = find_halfspace(&memory.work, &to->sum, kappa) && scatter_once(&memory.work, &memory.once);
     for (size_t row = 0; row < n; row++) {
       solver_dense_put(&to->reflected_once, row, 0, solver_dense_get(&memory.once, row, 0));
     }
@@ -554,7 +536,7 @@ bool solver_layer_operators(const layer_operators *to, const expansion *of, doub
     for (size_t i = 0; i < THIN && ok; i++) {
       thin[i] = solver_dense_at(of->isa, &next, n + 2, n + 2, cimag(k) != 0);
     }
-    ok = ok && find_layer(&memory.work, &memory.half, to, thin, depth);
+    ok = ok && find_layer(&memory.work, to, thin, depth);
   }
   free(more);
   free(memory.all);

@@ -24,14 +24,20 @@ typedef struct layer_exitance {
 bool solver_layer_halfspace(const expansion *of, double complex k, double kappa,
                             layer_exitance *exitance);
 
-/* What a layer does to light that strikes it, for one wavenumber. Matrices are
- * [n + 1][n + 1], with the signs of the formulas; the last row and column belong to the beam. Both
- * faces are alike. */
+/* v = S A u with u = I+ + I- and v = I+ - I-. A is symmetric, S has the signs of expansion.h on its
+ * diagonal. Column n of A is for the beam, whose v is `beam` times its u. */
+typedef struct layer_relation {
+  dense all; /* [n][n + 1] */
+  double beam;
+} layer_relation;
+
+/* What a layer does to light, for one wavenumber. Both faces are alike. */
 typedef struct layer_operators {
-  dense reflected;
-  dense transmitted; /* not set for a half space */
-  /* Of light that is scattered at most once: what passes, with what a beam scatters on; and what a
-   * beam scatters back, a column. */
+  /* A + B and B - A: v = A u at a face if the same light strikes both, v = B u if it has opposite
+   * signs. Of a half space, `sum` is its A, and `apart` is not set. */
+  layer_relation sum, apart;
+  /* Of light that is scattered at most once: what passes, with what a beam scatters on, [n + 1][n +
+   * 1]; and what a beam scatters back, a column. Both with the signs of the formulas. */
   dense passed_once;
   dense reflected_once;
 } layer_operators;
@@ -40,7 +46,35 @@ typedef struct layer_operators {
  * for a half space, for which k and kappa are as for solver_layer_halfspace(). *to: its matrices
  * have room, real if Im k is 0 and complex otherwise. Returns false if memory runs out or the
  * equation is singular. */
-bool solver_layer_operators(const layer_operators *to, const expansion *of, double complex k,
+bool solver_layer_operators(layer_operators *to, const expansion *of, double complex k,
                             double kappa, double depth);
+
+/* Spare matrices of the functions below, each as large as a relation's. */
+enum { LAYER_SPARE = 3 };
+
+/* Sets to = x a + y b. All have one shape; `to` may be a or b. */
+void solver_layer_combine(layer_relation *to, double x, const layer_relation *a, double y,
+                          const layer_relation *b);
+
+/* Sets to = g s^-1 g, which may be s but not g. Returns false if s is singular. */
+bool solver_layer_weigh(const dense spare[LAYER_SPARE], layer_relation *to, const layer_relation *g,
+                        const layer_relation *s);
+
+/* Set *to, [n + 1][n + 1] with the beam's row and the signs of the formulas, to the reflectance of
+ * what has a relation, and *to to the relation of what has a reflectance. Return false if an equation
+ * is singular. */
+bool solver_layer_reflect(const dense spare[LAYER_SPARE], const expansion *of, const dense *to,
+                          const layer_relation *from);
+bool solver_layer_relate(const dense spare[LAYER_SPARE], const expansion *of, layer_relation *to,
+                         const dense *from);
+
+/* Sets v[n + 1] from u[n + 1], with the beam and the signs of the formulas. */
+void solver_layer_apply(const dense *v, const expansion *of, const layer_relation *relation,
+                        const dense *u);
+
+/* Sets to[n][2] to I- under a boundary of `of`: of the beam, whose u is 1, and of diffuse light.
+ * Returns false if the equation is singular. */
+bool solver_layer_light_up(const dense spare[LAYER_SPARE], const expansion *of, const dense *to,
+                           const layer_relation *under, size_t boundary);
 
 #endif

@@ -1,16 +1,17 @@
-/* Layers at one wavenumber, one above the other. J+ and J- are the light on its way down and up. With
- * R and T of layer i (layer.c), and rb what is below it, as seen from its lower face,
+/* Layers at one wavenumber, one above the other. J+ and J- are the light on its way down and up, u and
+ * v their sum and difference. With the sum S and the difference D of a layer's relations (layer.c),
+ * its upper face 1 and lower face 2, and v = Z u of what is below,
  *
- *   M = (1 - R rb)^-1 T,   rho = R + T rb M
+ *   v1 = (S u1 - D u2) / 2,   Z u2 = (D u1 - S u2) / 2:
  *
- * pass its light down and reflect it. Where the index changes from n1 to n2, with mu2 from n1 sin1 =
- * n2 sin2 and Fresnel's transmittance T(mu),
+ * u2 = (S / 2 + Z)^-1 D u1 / 2, and v1 = (S - D (S / 2 + Z)^-1 D / 2) u1 / 2. Where the index changes
+ * from n1 to n2, with mu2 from n1 sin1 = n2 sin2 and Fresnel's transmittance T(mu),
  *
  *   T11 = <psi1 mu1 T psi1>, T22 = <psi2 mu2 T psi2>, T12 = <psi2(mu2) mu1 T psi1(mu1)>,
  *   R1 = 1 - T11, R2 = 1 - T22, down = T12, up = (n1 / n2)^2 T12^T,
- *   Q = (1 - R2 rho)^-1 down,  rb = R1 + up rho Q.
+ *   Q = (1 - R2 rho)^-1 down,  rb = R1 + up rho Q
  *
- * At the top J- = (1 - rho F)^-1 rho e, where e is the beam, and F is Fresnel's reflectance. */
+ * with rho the reflectance of what is below the step, and rb that of the step with it. */
 #include "core/solver/stack.h"
 
 #include <math.h>
@@ -274,14 +275,14 @@ void solver_stack_free(stack *of) {
 /* The matrices of a layer and of everything below it. */
 struct tower {
   layer_operators own;
-  dense whole;   /* rho, seen from the layer's upper face */
-  dense below;   /* rb; not set for a half space */
-  dense through; /* M */
-  dense next;    /* Q: from the layer's lower face to the next layer's upper face */
+  layer_relation whole; /* at the layer's upper face */
+  layer_relation below; /* at its lower face; not set for a half space */
+  dense reflected;      /* rho at the upper face, under a step where the index changes */
+  dense next;           /* Q: from the layer's lower face to the next layer's upper face */
 };
 
 /* Columns: light at a head or a foot. */
-enum { GROUP = 8, COLUMNS = 4 };
+enum { GROUP = 8, COLUMNS = 4, SPARES = LAYER_SPARE + 1 };
 
 /* Light of one layer that was scattered once or not at all, with a number of reflections. What leaves
  * the layer is kept for the next number. */
@@ -294,7 +295,7 @@ struct work {
   const stack *of;
   bool is_complex;
   struct tower tower[SOLVER_LAYERS_MAX];
-  dense spare[2];        /* sized for the largest layer */
+  dense spare[SPARES];   /* sized for the largest layer */
   dense column[COLUMNS]; /* sized for the largest layer */
   struct once once[SOLVER_LAYERS_MAX];
 };
@@ -334,43 +335,48 @@ static bool resolve(const struct work *by, const dense *to, const dense *a, cons
   return solver_dense_solve(&left, to);
 }
 
-/* Sets the rho and M of layer i (see the head of this file) from its rb. */
-static bool climb_layer(const struct work *by, size_t i) {
-  const struct tower *here = &by->tower[i];
-  const size_t n = here->own.reflected.rows;
-  copy_matrix(&here->whole, &here->own.reflected);
+/* Sets the relation at the upper face of layer i from that at its lower one. */
+static bool climb_layer(struct work *by, size_t i) {
+  struct tower *here = &by->tower[i];
+  layer_relation *whole = &here->whole, *sum = &here->own.sum;
   if (isinf(by->of->layers[i].thickness)) {
+    solver_layer_combine(whole, 1, sum, 0, sum);
     return true;
   }
-  if (!resolve(by, &here->through, &here->own.reflected, &here->below, &here->own.transmitted)) {
+  solver_layer_combine(whole, 0.5, sum, 1, &here->below);
+  if (!solver_layer_weigh(by->spare, whole, &here->own.apart, whole)) {
     return false;
   }
-  const dense lit = shaped(by->spare[0], n, n), more = shaped(by->spare[1], n, n);
-  solver_dense_multiply(&lit, &here->below, &here->through);
-  solver_dense_multiply(&more, &here->own.transmitted, &lit);
-  add_matrix(&here->whole, &more);
+  solver_layer_combine(whole, 0.5, sum, -0.25, whole);
   return true;
 }
 
-/* Sets rb and Q of layer i from rho of the next one. */
-static bool climb_step(const struct work *by, size_t i) {
-  const struct step *step = &by->of->step[i];
-  const struct tower *here = &by->tower[i];
-  const dense *rho = &by->tower[i + 1].whole;
+/* Sets the relation at the lower face of layer i, and Q, from what is below it. */
+static bool climb_step(struct work *by, size_t i) {
+  const stack *of = by->of;
+  const struct step *step = &of->step[i];
+  struct tower *here = &by->tower[i], *next = here + 1;
+  if (i + 1 == of->count) {
+    const dense bottom = view_of(by, of->outer[1]);
+    return solver_layer_relate(by->spare, of->expanded[i], &here->below, &bottom);
+  }
   if (step->same) {
-    copy_matrix(&here->below, rho);
+    solver_layer_combine(&here->below, 1, &next->whole, 0, &next->whole);
     return true;
   }
   const dense above = view_of(by, step->above), below = view_of(by, step->below);
   const dense down = view_of(by, step->down), up = view_of(by, step->up);
-  if (!resolve(by, &here->next, &below, rho, &down)) {
+  const dense *rho = &next->reflected;
+  if (!solver_layer_reflect(by->spare, of->expanded[i + 1], rho, &next->whole) ||
+      !resolve(by, &here->next, &below, rho, &down)) {
     return false;
   }
   const dense lit = shaped(by->spare[0], rho->rows, up.rows);
+  const dense mirrored = shaped(by->spare[LAYER_SPARE], up.rows, up.rows);
   solver_dense_multiply(&lit, rho, &here->next);
-  solver_dense_multiply(&here->below, &up, &lit);
-  add_matrix(&here->below, &above);
-  return true;
+  solver_dense_multiply(&mirrored, &up, &lit);
+  add_matrix(&mirrored, &above);
+  return solver_layer_relate(by->spare, of->expanded[i], &here->below, &mirrored);
 }
 
 static double complex product_of(const double *left, const dense *vector, size_t count) {
@@ -381,57 +387,93 @@ static double complex product_of(const double *left, const dense *vector, size_t
   return sum;
 }
 
-static double complex net_of(const stack *of, size_t i, const dense *down, const dense *up) {
-  const size_t n = of->expanded[i]->first[1], beam = down->rows - 1;
-  return product_of(of->flux[i], down, n) - product_of(of->flux[i], up, n) +
-         solver_dense_get(down, beam, 0) - solver_dense_get(up, beam, 0);
+/* Sets *v of a relation, and returns the net flux. */
+static double complex net_of(const stack *of, size_t i, const dense *v,
+                             const layer_relation *relation, const dense *u) {
+  solver_layer_apply(v, of->expanded[i], relation, u);
+  return product_of(of->flux[i], v, of->expanded[i]->first[1]) +
+         solver_dense_get(v, v->rows - 1, 0);
 }
 
 static double corner_of(const dense *of) {
   return of->re[(of->rows - 1) * of->stride + of->columns - 1];
 }
 
-static bool descend(const struct work *by, stack_exitance *exitance) {
+/* Sets u at the foot of a layer from that at its head. */
+static bool descend_layer(const struct work *by, const struct tower *here, const dense *foot,
+                          const dense *head) {
+  const layer_relation *sum = &here->own.sum, *apart = &here->own.apart;
+  const size_t n = sum->all.rows;
+  dense left = shaped(by->spare[0], n, n + 1), column = *foot;
+  column.rows = n;
+  const double complex beam =
+      0.5 * apart->beam / (0.5 * sum->beam + here->below.beam) * solver_dense_get(head, n, 0);
+  solver_dense_combine(&left, 0.5, &sum->all, 1, &here->below.all);
+  solver_dense_multiply(&column, &apart->all, head);
+  solver_dense_combine(&column, 0.5, &column, 0, &column);
+  for (size_t row = 0; row < n; row++) {
+    solver_dense_put(foot, row, 0,
+                     solver_dense_get(&column, row, 0) - solver_dense_get(&left, row, n) * beam);
+  }
+  solver_dense_put(foot, n, 0, beam);
+  left.columns = n;
+  return solver_dense_solve(&left, &column);
+}
+
+/* Sets what leaves, and the net fluxes. Without light that leaves below, and but for k = 0, the layers
+ * below the first one are left out. */
+static bool descend(const struct work *by, double complex k, stack_exitance *exitance) {
   const stack *of = by->of;
   const dense top = view_of(by, of->outer[0]), bottom = view_of(by, of->outer[1]);
-  const dense *rho = &by->tower[0].whole;
-  const size_t beam = rho->rows - 1;
-  dense down = shaped(by->column[0], rho->rows, 1), up = shaped(by->column[1], rho->rows, 1);
-  /* J+ = (1 - F rho)^-1 e */
-  dense entering = shaped(by->column[2], rho->rows, 1);
-  solver_dense_clear(&entering);
-  entering.re[beam * GROUP] = 1;
-  if (!resolve(by, &down, &top, rho, &entering)) {
+  const struct tower *first = &by->tower[0];
+  const size_t n0 = of->expanded[0]->n;
+  const dense lit = shaped(by->column[0], n0, 2);
+  if (!solver_layer_light_up(by->spare, of->expanded[0], &lit, &first->whole, 0)) {
     return false;
   }
+  const double r0 = corner_of(&top), t = first->whole.beam, rho = (1 - t) / (1 + t);
+  const double down = 1 / (1 - r0 * rho), up = rho * down;
+  memset(exitance->net, 0, sizeof exitance->net);
+  exitance->all[0] = (down + up) * product_of(of->exit[0], &lit, of->expanded[0]->first[1]);
+  exitance->beam[0] = (1 - r0) * up;
+  exitance->all[1] = exitance->beam[1] = 0;
+  if (isinf(of->layers[of->count - 1].thickness) && k != 0) {
+    return true;
+  }
+  dense u = shaped(by->column[1], n0 + 1, 1), back = shaped(by->column[2], n0 + 1, 1);
+  for (size_t row = 0; row < n0; row++) {
+    solver_dense_put(&back, row, 0, (down + up) * solver_dense_get(&lit, row, 0));
+  }
+  solver_dense_put(&back, n0, 0, up);
+  solver_dense_multiply(&u, &top, &back);
+  u.re[n0 * GROUP] += 1;
+  add_matrix(&u, &back);
   for (size_t i = 0; i < of->count; i++) {
     const struct tower *here = &by->tower[i];
-    const size_t rows = here->whole.rows, n = of->expanded[i]->first[1];
-    down = shaped(down, rows, 1);
-    up = shaped(up, rows, 1);
-    solver_dense_multiply(&up, &here->whole, &down);
-    exitance->net[i][0] = net_of(of, i, &down, &up);
-    if (i == 0) {
-      exitance->all[0] = product_of(of->exit[0], &up, n);
-      exitance->beam[0] = (1 - corner_of(&top)) * solver_dense_get(&up, rows - 1, 0);
-    }
-    exitance->net[i][1] = 0;
-    exitance->all[1] = exitance->beam[1] = 0;
+    const size_t rows = of->expanded[i]->n + 1, n = of->expanded[i]->first[1];
+    u = shaped(u, rows, 1);
+    const dense v = shaped(by->column[2], rows, 1), foot = shaped(by->column[3], rows, 1);
+    exitance->net[i][0] = net_of(of, i, &v, &here->whole, &u);
     if (isinf(of->layers[i].thickness)) {
       return true;
     }
-    const dense foot = shaped(by->column[2], rows, 1), back = shaped(by->column[3], rows, 1);
-    solver_dense_multiply(&foot, &here->through, &down);
-    solver_dense_multiply(&back, &here->below, &foot);
-    exitance->net[i][1] = net_of(of, i, &foot, &back);
+    if (!descend_layer(by, here, &foot, &u)) {
+      return false;
+    }
+    exitance->net[i][1] = net_of(of, i, &v, &here->below, &foot);
+    solver_dense_combine(&v, 0.5, &v, 0.5, &foot); /* J+ */
     if (i + 1 == of->count) {
-      exitance->all[1] = product_of(of->exit[1], &foot, n);
-      exitance->beam[1] = (1 - corner_of(&bottom)) * solver_dense_get(&foot, rows - 1, 0);
+      exitance->all[1] = product_of(of->exit[1], &v, n);
+      exitance->beam[1] = (1 - corner_of(&bottom)) * solver_dense_get(&v, rows - 1, 0);
     } else if (of->step[i].same) {
-      copy_matrix(&down, &foot);
+      copy_matrix(&u, &foot);
     } else {
-      down = shaped(down, here->next.rows, 1);
-      solver_dense_multiply(&down, &here->next, &foot);
+      const dense *mirrored = &here[1].reflected;
+      const dense head = shaped(by->column[0], mirrored->rows, 1);
+      u = shaped(u, mirrored->rows, 1);
+      solver_dense_multiply(&head, &here->next, &v);
+      solver_dense_multiply(&u, mirrored, &head);
+      add_matrix(&u, &head);
     }
   }
   return true;
@@ -535,7 +577,7 @@ static void scatter_once(const struct work *by, stack_exitance *exitance) {
 
 /* Returns how many numbers lay_out() needs for one wavenumber. */
 static size_t numbers_for(const stack *of) {
-  enum { SQUARES = 7, COLUMNS_OF_LAYER = 7, SPARES = 2 };
+  enum { SQUARES = 7, COLUMNS_OF_LAYER = 7 };
   size_t most = 0, numbers = 0;
   for (size_t i = 0; i < of->count; i++) {
     const size_t n = of->expanded[i]->n + 1;
@@ -553,13 +595,17 @@ static void lay_out(struct work *to, const stack *of, double *at) {
     struct once *once = &to->once[i];
     const size_t n = of->expanded[i]->n + 1;
     const size_t next = i + 1 < of->count ? of->expanded[i + 1]->n + 1 : n;
-    dense *const square[] = {&here->own.reflected, &here->own.transmitted, &here->own.passed_once,
-                             &here->whole,         &here->below,           &here->through};
+    dense *const square[] = {&here->own.passed_once, &here->reflected};
+    dense *const related[] = {&here->own.sum.all, &here->own.apart.all, &here->whole.all,
+                              &here->below.all};
     dense *const column[] = {&here->own.reflected_once, &once->head_down,    &once->foot_up,
                              &once->foot_down[0],       &once->foot_down[1], &once->head_up[0],
                              &once->head_up[1]};
     for (size_t j = 0; j < sizeof square / sizeof *square; j++) {
       *square[j] = solver_dense_at(of->isa, &at, n, n, to->is_complex);
+    }
+    for (size_t j = 0; j < sizeof related / sizeof *related; j++) {
+      *related[j] = solver_dense_at(of->isa, &at, n - 1, n, to->is_complex);
     }
     for (size_t j = 0; j < sizeof column / sizeof *column; j++) {
       *column[j] = solver_dense_at(of->isa, &at, n, 1, to->is_complex);
@@ -592,15 +638,9 @@ bool solver_stack_at(const stack *of, double complex k, stack_exitance *exitance
     const double unit = 1 / layer->extinction;
     ok = solver_layer_operators(&work->tower[i].own, of->expanded[i], k * unit, layer->kappa * unit,
                                 layer->thickness * layer->extinction);
-    if (ok && i + 1 < of->count) {
-      ok = climb_step(work, i);
-    } else if (ok && !isinf(layer->thickness)) {
-      const dense bottom = view_of(work, of->outer[1]);
-      copy_matrix(&work->tower[i].below, &bottom);
-    }
-    ok = ok && climb_layer(work, i);
+    ok = ok && (isinf(layer->thickness) || climb_step(work, i)) && climb_layer(work, i);
   }
-  ok = ok && descend(work, exitance);
+  ok = ok && descend(work, k, exitance);
   if (ok) {
     scatter_once(work, exitance);
   }

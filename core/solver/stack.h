@@ -34,7 +34,8 @@ typedef struct stack_exitance {
   /* Above and below. all: light that was scattered; once: that part of it that was scattered once,
    * and reflected inside at most STACK_REFLECTIONS times; beam: light that was not scattered. */
   double complex all[2], once[2], beam[2];
-  /* net downward flux at the upper and the lower face of each layer */
+  /* Net downward flux at the upper and the lower face of each layer. Over a half space it is known for
+   * k = 0 alone. */
   double complex net[SOLVER_LAYERS_MAX][2];
 } stack_exitance;
 
