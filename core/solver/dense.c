@@ -62,19 +62,11 @@ void solver_dense_clear(const dense *of) {
   }
 }
 
-typedef double group __attribute__((vector_size(GROUP * sizeof(double)), aligned(16), may_alias));
-
-static void combine(double *to, double x, const double *a, double y, const double *b,
-                    size_t numbers) {
-  for (size_t i = 0; i < numbers; i += GROUP) {
-    *(group *)(to + i) = x * *(const group *)(a + i) + y * *(const group *)(b + i);
-  }
-}
-
 void solver_dense_combine(const dense *to, double x, const dense *a, double y, const dense *b) {
-  combine(to->re, x, a->re, y, b->re, to->rows * to->stride);
+  const dense_loops *of = solver_dense_loops_of[to->isa->index];
+  of->combine(to->re, x, a->re, y, b->re, to->rows * to->stride);
   if (to->im != NULL) {
-    combine(to->im, x, a->im, y, b->im, to->rows * to->stride);
+    of->combine(to->im, x, a->im, y, b->im, to->rows * to->stride);
   }
 }
 
@@ -231,6 +223,21 @@ static void add_triangle(const dense *to, size_t first, const dense *a, const de
   }
 }
 
+void solver_dense_square(const dense *to, const dense *of) {
+  solver_dense_clear(to);
+  add_triangle(to, 0, of, of, 1);
+}
+
+void solver_dense_mirror(const dense *of) {
+  for (size_t first = 0; first < of->rows; first += GROUP) {
+    for (size_t row = first; row < of->rows; row++) {
+      for (size_t column = first; column < first + GROUP && column < row; column++) {
+        set_number(of, row, column, number_at(of, column, row));
+      }
+    }
+  }
+}
+
 /* Factors rows first to end - 1 of a symmetric matrix without pivoting, and subtracts them from the
  * triangle below. Leaves the factors below the diagonal. Returns false if a pivot is 0. */
 static bool factor_symmetric(const dense *a, size_t first, size_t end) {
@@ -266,17 +273,15 @@ bool solver_dense_congruence(const dense *to, const dense *a, const dense *b, co
     apply_panel(a, b, first, end, 0);
   }
   const dense left = within(spare, 0, 0, n, n);
-  for (size_t row = 0; row < n; row++) {
+  for (size_t first = 0; first < n; first += GROUP) {
     for (size_t column = 0; column < n; column++) {
-      set_number(&left, column, row, product(number_at(b, row, column), number_at(a, row, row)));
+      for (size_t row = first; row < first + GROUP && row < n; row++) {
+        set_number(&left, column, row, product(number_at(b, row, column), number_at(a, row, row)));
+      }
     }
   }
   solver_dense_clear(to);
   add_triangle(to, 0, &left, b, 1);
-  for (size_t row = 0; row < n; row++) {
-    for (size_t column = 0; column < row; column++) {
-      set_number(to, row, column, number_at(to, column, row));
-    }
-  }
+  solver_dense_mirror(to);
   return true;
 }

@@ -52,6 +52,13 @@ void solver_dense_combine(const dense *to, double x, const dense *a, double y, c
 /* Sets to = a b. Either all are real or all complex. `to` is neither a nor b. */
 void solver_dense_multiply(const dense *to, const dense *a, const dense *b);
 
+/* Sets the upper triangle of `to` to that of the square of a matrix; what is below it has no
+ * meaning. */
+void solver_dense_square(const dense *to, const dense *of);
+
+/* Copies the numbers above the diagonal of the first columns to below it. */
+void solver_dense_mirror(const dense *of);
+
 /* Replaces b by the solution x of a x = b, by elimination with partial pivoting in blocks. The
  * content of a, which is square, is lost. Returns false if a is singular; then b has no meaning. */
 bool solver_dense_solve(const dense *a, const dense *b);
@@ -76,6 +83,8 @@ typedef struct dense_loops {
    * multiple of 8. b and `to`: 16-byte aligned. */
   void (*add_product)(dense_part to, dense_part a, dense_part b, size_t rows, size_t inner,
                       size_t columns, double sign);
+  /* Sets to = x a + y b. numbers: a multiple of 8. */
+  void (*combine)(double *to, double x, const double *a, double y, const double *b, size_t numbers);
   /* Subtract factor times one row from another row: of real numbers, and of complex ones. */
   void (*subtract_real)(double *restrict to, const double *restrict from, double factor,
                         size_t columns);

@@ -11,7 +11,7 @@ enum { LANES = 4, TILE_ROWS = 4, TILE_LANES = 2 };
 #else
 enum { LANES = 2, TILE_ROWS = 4, TILE_LANES = 2 };
 #endif
-typedef double lanes __attribute__((vector_size(LANES * sizeof(double)), aligned(16)));
+typedef double lanes __attribute__((vector_size(LANES * sizeof(double)), aligned(16), may_alias));
 
 /* Adds sign * a b to `to` for at most TILE_ROWS rows and a few groups of columns. */
 static inline __attribute__((always_inline)) void add_tile(dense_part to, dense_part a,
@@ -67,6 +67,13 @@ static void add_product(dense_part to, dense_part a, dense_part b, size_t rows, 
   }
 }
 
+static void combine(double *to, double x, const double *a, double y, const double *b,
+                    size_t numbers) {
+  for (size_t i = 0; i < numbers; i += LANES) {
+    *(lanes *)(to + i) = x * *(const lanes *)(a + i) + y * *(const lanes *)(b + i);
+  }
+}
+
 static void subtract_real(double *restrict to, const double *restrict from, double factor,
                           size_t columns) {
   for (size_t i = 0; i < columns; i++) {
@@ -87,5 +94,5 @@ static void subtract_complex(double *restrict to_re, double *restrict to_im,
 #define PASTE_(a, b) a##b
 #define PASTE(a, b) PASTE_(a, b)
 extern const dense_loops PASTE(solver_dense_loops_, CORE_ISA);
-const dense_loops PASTE(solver_dense_loops_, CORE_ISA) = {add_product, subtract_real,
+const dense_loops PASTE(solver_dense_loops_, CORE_ISA) = {add_product, combine, subtract_real,
                                                           subtract_complex};

@@ -232,16 +232,18 @@ static bool invert(const struct work *by, layer_relation *to, const layer_relati
 
 enum { MEANS_MAX = 60 };
 
-/* Means that differ by this little, relative, are off by its square. */
+/* Means that differ by this little, where the limit is some 1, are off by its square. */
 #define MEANS_APART 1e-5
 
 /* Sets *to to the relation of a half space: the limit of the means of two. */
 static bool find_halfspace(const struct work *by, layer_relation *to, double kappa) {
   const expansion *of = by->of;
   layer_relation a = {by->alike, 0}, b = {by->opposite, 0}, apart = {by->spare[3], 0};
+  layer_relation mean = *to;
   /* The first pair has the decay rates, times a step, and their reciprocals. Of many media, this
    * step and these scales of the next pairs led to the fewest means. */
-  static const double scales[] = {1, 0.31, 0.78};
+  enum { SCALES = 3 };
+  static const double scales[SCALES] = {1, 0.31, 0.78};
   const double modulus = fn_abs(by->k), degrees = (double)of->first[1];
   const double slow = fmin(1, sqrt(fn_abs(kappa * kappa + by->k * by->k)));
   const double step = 2 / (degrees * sqrt(slow) * sqrt((1 + modulus) * sqrt(1 + modulus)));
@@ -251,18 +253,22 @@ static bool find_halfspace(const struct work *by, layer_relation *to, double kap
     return false;
   }
   for (size_t i = 0; i < MEANS_MAX; i++) {
-    const double scale = i < sizeof scales / sizeof *scales ? scales[i] : 1;
-    solver_layer_combine(&a, scale, &a, 0, &a);
-    solver_layer_combine(to, 0.5, &a, 0.5 / scale, &b);
-    solver_layer_combine(&apart, 1, &a, -1 / scale, &b);
-    if (largest(&apart.all) < MEANS_APART * largest(&to->all)) {
-      return true;
+    const double scale = i < SCALES ? scales[i] : 1;
+    solver_layer_combine(&mean, 0.5 * scale, &a, 0.5 / scale, &b);
+    if (i >= SCALES) {
+      solver_layer_combine(&apart, 1, &a, -1, &b);
+      if (largest(&apart.all) < MEANS_APART) {
+        solver_layer_combine(to, 1, &mean, 0, &mean);
+        return true;
+      }
     }
-    if (!solver_layer_weigh(by->spare, &b, &a, to)) {
+    if (!solver_layer_weigh(by->spare, &b, &a, &mean)) {
       return false;
     }
-    solver_layer_combine(&b, 2, &a, -1, &b);
-    solver_layer_combine(&a, 1, to, 0, to);
+    solver_layer_combine(&b, 2 * scale, &a, -scale * scale, &b);
+    const layer_relation before = a;
+    a = mean;
+    mean = before;
   }
   return false;
 }
@@ -431,7 +437,7 @@ static int halvings_of(const expansion *of, double complex k, double depth) {
 
 /* Replaces Ts and s+ of a layer by those of two such layers, and adds what the second one scatters
  * back of a beam. */
-static void double_once(const layer_operators *to, const dense *spare) {
+static void double_once(const struct work *by, const layer_operators *to, const dense *spare) {
   const size_t n = to->passed_once.rows - 1;
   const double passed = creal(solver_dense_get(&to->passed_once, n, n));
   const dense back = to->reflected_once, twice = shaped_like(spare, &to->passed_once);
@@ -439,7 +445,12 @@ static void double_once(const layer_operators *to, const dense *spare) {
   solver_dense_put(&back, n, 0, 0);
   solver_dense_multiply(&more, &to->passed_once, &back);
   solver_dense_combine(&back, 1, &back, passed, &more);
-  solver_dense_multiply(&twice, &to->passed_once, &to->passed_once);
+  solver_dense_square(&twice, &to->passed_once);
+  dense mirrored = twice;
+  mirrored.rows = n;
+  change_signs(by->of, &mirrored);
+  solver_dense_mirror(&mirrored);
+  change_signs(by->of, &mirrored);
   copy(&to->passed_once, &twice);
 }
 
@@ -475,7 +486,7 @@ static bool find_layer(const struct work *by, layer_operators *to, const dense *
     return false;
   }
   for (int i = 0; i < halvings; i++) {
-    double_once(to, &thin[0]);
+    double_once(by, to, &thin[0]);
   }
   layer_relation *sum = &to->sum, *a = &to->apart, x = {by->alike, 0}, b = {by->opposite, 0};
   fill_relation(by, &x, of->even, 1, step);
