@@ -585,15 +585,9 @@ static void write_foot(const void *context) {
 
 /* ---- what is no success ---------------------------------------------------------------------- */
 
-enum { REPORTED_MAX = 10 };
-
-/* Says which reading of a sample is wrong. */
-static void report_reading(const report *of, const fit_sample *sample, const dipole_fitted *one) {
-  const size_t index = one->index < sample->count ? one->index : 0;
-  const bool is_error = one->field == 2;
-  cli_fail("sample %s: reading %zu (line %llu): its %s must be %sfinite", sample->name, index + 1,
-           (unsigned long long)of->lines[sample->first + index], is_error ? "error" : "R",
-           is_error ? "above 0, and " : "");
+void cli_fit_report_reading(const char *sample, uint64_t line, bool is_error) {
+  cli_fail("sample %s: line %llu: its %s must be %sfinite", sample, (unsigned long long)line,
+           is_error ? "error" : "reading", is_error ? "above 0, and " : "");
 }
 
 /* Everything is written in any case; then reports what is no success. */
@@ -602,9 +596,10 @@ static int judge(const report *of) {
   for (size_t i = 0; i < of->sample_count; i++) {
     const dipole_fitted *one = &of->fitted[i];
     bad += one->status != DIPOLE_FITTED;
-    if (one->status == DIPOLE_FIT_REFUSED && one->field != 0 && reported < REPORTED_MAX) {
-      report_reading(of, &of->samples[i], one);
-      reported++;
+    const fit_sample *sample = &of->samples[i];
+    if (one->status == DIPOLE_FIT_REFUSED && one->field != 0 && one->index < sample->count &&
+        reported++ < CLI_FIT_REPORTED_MAX) {
+      cli_fit_report_reading(sample->name, of->lines[sample->first + one->index], one->field == 2);
     }
   }
   if (bad == 0) {

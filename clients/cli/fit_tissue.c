@@ -38,6 +38,7 @@ typedef struct tissue_sample {
   char *name;
   size_t *rows, count; /* of the sheet */
   size_t readings;
+  struct reading *all; /* [readings], by wavelength and place */
   dipole_tissue_fits *fits;
 } tissue_sample;
 
@@ -245,36 +246,42 @@ static size_t list_readings(const report *of, size_t row, reading *to) {
   return count;
 }
 
-/* Sorts readings by wavelength and place. Returns the number of places; 0 unless each wavelength has one
- * reading at each of them. */
-static size_t sort_readings(reading *all, size_t count) {
-  size_t places = 0;
-  qsort(all, count, sizeof *all, compare_readings);
-  while (places < count && !(all[places].key[NM] > all[0].key[NM])) {
+/* Sorts readings by wavelength and place. Returns the number of places. Unless each wavelength has one
+ * reading at each of them it says so, and returns 0. */
+static size_t sort_readings(const report *of, const tissue_sample *one) {
+  const reading *all = one->all;
+  size_t places = 0, i = 1;
+  qsort(one->all, one->readings, sizeof *all, compare_readings);
+  while (places < one->readings && !(all[places].key[NM] > all->key[NM])) {
     places++;
   }
-  for (size_t i = 1; i < count; i++) {
-    if (compare_from(PLACE, &all[i], &all[i % places]) != 0 ||
-        compare_readings(&all[i - 1], &all[i]) == 0) {
-      return 0;
-    }
+  while (i < one->readings && compare_from(PLACE, &all[i], &all[i % places]) == 0 &&
+         compare_readings(&all[i - 1], &all[i]) != 0) {
+    i++;
   }
-  return places == 0 || count % places > 0 ? 0 : places;
+  if (i >= one->readings && places > 0 && one->readings % places == 0) {
+    return places;
+  }
+  const reading *bad = &all[i < one->readings ? i : i - 1];
+  cli_fail(
+      "%s: sample %s: each wavelength needs one reading at each of the same places: see %g nm, "
+      "line %llu",
+      of->sheet.source, one->name, bad->key[NM], (unsigned long long)of->sheet.lines[bad->row]);
+  return 0;
 }
 
 /* Lists the readings of a sample by wavelength and place, and sets these in the query. Says what is wrong
- * and returns NULL. */
-static reading *arrange(const report *of, tissue_sample *one, dipole_tissue_fit_query *query) {
+ * and returns false. */
+static bool arrange(const report *of, tissue_sample *one, dipole_tissue_fit_query *query) {
   const size_t room = KINDS * one->count;
-  reading *all = cli_allocate(room, sizeof *all);
+  one->all = cli_allocate(room, sizeof *one->all);
   for (size_t i = 0; i < one->count; i++) {
-    one->readings += list_readings(of, one->rows[i], all + one->readings);
+    one->readings += list_readings(of, one->rows[i], one->all + one->readings);
   }
-  const size_t places = sort_readings(all, one->readings);
+  const reading *all = one->all;
+  const size_t places = sort_readings(of, one);
   if (places == 0) {
-    cli_fail("%s: sample %s: each wavelength needs one reading at each of the same places",
-             of->sheet.source, one->name);
-    return NULL;
+    return false;
   }
   double *keys =
       cli_allocate(KEYS * room, sizeof *keys); /* of the wavelengths, and of the places */
@@ -295,36 +302,39 @@ static reading *arrange(const report *of, tissue_sample *one, dipole_tissue_fit_
   query->detector_mm = query->source_mm + room;
   query->mhz = query->detector_mm + room;
   query->quantity = query->mhz + room;
-  return all;
+  return true;
 }
 
-static int request(const report *of, dipole_client *client, const char *name,
-                   const dipole_tissue_fit_query *query, dipole_tissue_fits **fits) {
+static int request(const report *of, dipole_client *client, tissue_sample *one,
+                   const dipole_tissue_fit_query *query) {
   dipole_error error;
-  char what[96];
-  if (CLI_RETRY(of->settings, &error, dipole_fit_tissue(client, query, fits, &error))) {
+  char what[128];
+  if (CLI_RETRY(of->settings, &error, dipole_fit_tissue(client, query, &one->fits, &error))) {
     return CLI_OK;
   }
-  snprintf(what, sizeof what, "sample %.80s: ", name);
+  const int used = snprintf(what, sizeof what, "sample %.80s: ", one->name);
+  if (strcmp(error.field, "wavelength") == 0 && error.index < query->tissue.wavelength_count) {
+    snprintf(what + used, sizeof what - (size_t)used,
+             "%g nm: ", query->tissue.wavelengths_nm[error.index]);
+  }
   return cli_fail_error_of(what, &error);
 }
 
 /* Requests the fit of a sample. */
 static int fit_sample(report *of, dipole_client *client, tissue_sample *one) {
   dipole_tissue_fit_query query;
-  const reading *all = arrange(of, one, &query);
-  if (all == NULL) {
+  if (!arrange(of, one, &query)) {
     return CLI_FAILED;
   }
   double *values = cli_allocate(2 * one->readings, sizeof *values),
          *errors = values + one->readings;
   for (size_t i = 0; i < one->readings; i++) {
-    values[i] = all[i].value;
-    errors[i] = all[i].error;
+    values[i] = one->all[i].value;
+    errors[i] = one->all[i].error;
   }
   query.values = values;
   query.errors = errors;
-  return request(of, client, one->name, &query, &one->fits);
+  return request(of, client, one, &query);
 }
 
 /* ---- writing --------------------------------------------------------------------------------- */
@@ -414,7 +424,8 @@ struct maps {
 };
 
 /* Reads the images of all readings, [readings]. Says what is wrong and returns false. */
-static bool read_images(const report *of, const reading *all, cli_image *images) {
+static bool read_images(const report *of, cli_image *images) {
+  const reading *all = of->samples->all;
   for (size_t i = 0; i < of->samples->readings; i++) {
     const char *file = of->sheet.labels[all[i].row];
     const cli_image *one = &images[i];
@@ -461,7 +472,7 @@ static void prepare_maps(report *of, const cli_image *like) {
 }
 
 /* Requests the fits of all pixels, row by row. */
-static int fit_rows(report *of, dipole_client *client, const reading *all, const cli_image *images,
+static int fit_rows(report *of, dipole_client *client, const cli_image *images,
                     dipole_tissue_fit_query *query) {
   tissue_sample *one = of->samples;
   const size_t readings = one->readings, width = images->width, height = images->height;
@@ -476,7 +487,7 @@ static int fit_rows(report *of, dipole_client *client, const reading *all, const
   cli_progress_start(&progress, "pixels");
   for (size_t y = 0; y < height && status == CLI_OK; y++) {
     for (size_t i = 0; i < readings * width; i++) {
-      const reading *of_pixel = &all[i % readings];
+      const reading *of_pixel = &one->all[i % readings];
       const double share = cli_sheet_number(&of->sheet, of_pixel->row, RELATIVE);
       values[i] = (double)images[i % readings].values[y * width + i / readings];
       errors[i] =
@@ -484,7 +495,7 @@ static int fit_rows(report *of, dipole_client *client, const reading *all, const
     }
     dipole_tissue_fits_free(one->fits);
     one->fits = NULL;
-    status = request(of, client, one->name, query, &one->fits);
+    status = request(of, client, one, query);
     if (status == CLI_OK) {
       take_row(of, one->fits, y, images);
     }
@@ -528,12 +539,11 @@ static void put_map(cli_rows *rows, const void *context, size_t index) {
 static int fit_images(report *of, dipole_client *client) {
   dipole_tissue_fit_query query;
   of->samples->name = cli_copy("images", sizeof "images" - 1);
-  const reading *all = arrange(of, of->samples, &query);
   cli_image *images = cli_allocate(of->sheet.count, sizeof *images);
-  if (all == NULL || !read_images(of, all, images)) {
+  if (!arrange(of, of->samples, &query) || !read_images(of, images)) {
     return CLI_FAILED;
   }
-  const int status = fit_rows(of, client, all, images, &query);
+  const int status = fit_rows(of, client, images, &query);
   if (status != CLI_OK || !write_maps(of)) {
     return status != CLI_OK ? status : CLI_FAILED;
   }
@@ -578,9 +588,15 @@ int cli_fit_tissue_run(const cli_settings *settings, dipole_client *client) {
                              .left = 2,
                              .foot = write_foot};
   cli_write(&output, settings->form, &of);
-  size_t bad = 0;
+  size_t bad = 0, reported = 0;
   for (size_t i = 0; i < of.sample_count; i++) {
-    bad += of.samples[i].fits->sets->status != DIPOLE_FITTED;
+    const tissue_sample *one = &of.samples[i];
+    const dipole_fitted_tissue *set = one->fits->sets;
+    bad += set->status != DIPOLE_FITTED;
+    if (set->status == DIPOLE_FIT_REFUSED && set->index < one->readings &&
+        reported++ < CLI_FIT_REPORTED_MAX) {
+      cli_fit_report_reading(one->name, of.sheet.lines[one->all[set->index].row], set->field == 2);
+    }
   }
   if (bad == 0) {
     return CLI_OK;

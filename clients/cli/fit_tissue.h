@@ -8,4 +8,10 @@
 int cli_fit_tissue_check(const cli_settings *settings);
 int cli_fit_tissue_run(const cli_settings *settings, dipole_client *client);
 
+/* The most readings that are said to be wrong. */
+enum { CLI_FIT_REPORTED_MAX = 10 };
+
+/* Says that the reading in a line, or its error, is wrong. */
+void cli_fit_report_reading(const char *sample, uint64_t line, bool is_error);
+
 #endif

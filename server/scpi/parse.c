@@ -156,7 +156,9 @@ int scpi_next_parameter(struct scpi_unit *unit, struct scpi_parameter *parameter
   skip_blanks(&unit->at, unit->end);
   unit->more = unit->at < unit->end && *unit->at == ',';
   if (error == 0 && unit->at < unit->end && !unit->more) {
-    return SCPI_BAD_SEPARATOR;
+    return parameter->kind == SCPI_DECIMAL && isalpha((unsigned char)*unit->at)
+               ? SCPI_BAD_SUFFIX
+               : SCPI_BAD_SEPARATOR;
   }
   unit->at += unit->more;
   return error;

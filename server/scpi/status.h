@@ -19,6 +19,7 @@ enum {
   E(-109, MISSING, "Missing parameter")                                                            \
   E(-113, UNDEFINED_HEADER, "Undefined header")                                                    \
   E(-121, BAD_DECIMAL, "Invalid character in number")                                              \
+  E(-131, BAD_SUFFIX, "Invalid suffix")                                                            \
   E(-151, BAD_STRING, "Invalid string data")                                                       \
   E(-161, BAD_BLOCK, "Invalid block data")                                                         \
   E(-203, PROTECTED, "Command protected")                                                          \

@@ -145,7 +145,7 @@ $ printf 'sample,r,R,error\nfew,1,.02,.001\nzero,1,.02,0\nzero,2,.01,.001\nblank
 model better, moments exact, scale absolute
 
 sample     sigma_a  sigma_s'  error of a  error of s'  a by g  s' by g  correlation       chi2  readings  model error  g   g from  g sides  eta       status
-              1/mm      1/mm        1/mm         1/mm    1/mm     1/mm                                       relative                                       
+              1/mm      1/mm        1/mm         1/mm    1/mm     1/mm                                       relative
 ------  ----------  --------  ----------  -----------  ------  -------  -----------  ---------  --------  -----------  -  -------  -------  ---  -----------
 few              -         -           -            -       -        -            -          -         1    not known  0  default     none  1.4      refused
 zero             -         -           -            -       -        -            -          -         2    not known  0  default     both  1.4      refused
@@ -158,8 +158,8 @@ model error: of R against radiative transport, which is not in the standard erro
 by g: the largest change for g +- .05, since the readings may not determine g
 ! dipole fit: sample few: bad-count: reading_count: allowed: 2 to 1024
 ! dipole fit: sample origin: reading 1 (line 7): bad-value: at: allowed: above 0 without fibres
-! dipole fit: sample zero: reading 1 (line 3): its error must be above 0, and finite
-! dipole fit: sample blank: reading 1 (line 5): its error must be above 0, and finite
+! dipole fit: sample zero: line 3: its error must be above 0, and finite
+! dipole fit: sample blank: line 5: its error must be above 0, and finite
 ! dipole fit: standard input: 5 of 5 samples were not fitted: see the column status
 ? 3
 

@@ -76,7 +76,7 @@ $ sed 1s/R,error/x,y/ waves.csv | dipole fit --unknown hbo2 --tissue a=1,b=1,g=0
 ? 1
 
 $ head -14 bands.csv | dipole fit --unknown hbo2,hb --tissue a=1,b=1
-! dipole fit: standard input: sample 1: each wavelength needs one reading at each of the same places
+! dipole fit: standard input: sample 1: each wavelength needs one reading at each of the same places: see 800 nm, line 14
 ? 1
 
 $ dipole fit bands.csv --unknown hbo2 --tissue b=1
@@ -154,4 +154,15 @@ $ dipole fit images.csv --unknown hbo2,hb --maps out.png; dipole fit images.csv 
 ! dipole fit: nothing.pfm: No such file or directory
 ! dipole fit: standard input: the column error or relative_error is missing; the header has wavelength_nm, f, image; it needs wavelength_nm, r (mm) or f (1/mm), image (a file) and error, or relative_error, for --maps, and may have source_mm, detector_mm, mhz
 ! dipole fit: 850-0.pfm: all images have to be grey, and of the size of 660-0.pfm, 2 x 1
+? 1
+
+## Which line is wrong.
+$ sed '4s/.*/650,7,0,0/' bands.csv > zero.csv; dipole fit zero.csv --unknown hbo2,hb --tissue a=1.9,b=1.2 --format csv; (cat bands.csv; sed -n 9p bands.csv) | dipole fit --unknown hbo2 --tissue a=1,b=1; sed 's/^950,/1010,/' bands.csv | dipole fit --unknown hbo2 --tissue a=1,b=1
+sample,unknown,value,error,numerical,status,scale,scale_error,chi2,readings,condition,sample_status
+1,hbo2_uM,,,,refused,,,,32,,refused
+1,hb_uM,,,,refused,,,,32,,refused
+! dipole fit: sample 1: line 4: its error must be above 0, and finite
+! dipole fit: zero.csv: 1 of 1 samples were not fitted whole: see the column status
+! dipole fit: standard input: sample 1: each wavelength needs one reading at each of the same places: see 700 nm, line 34
+! dipole fit: sample 1: 1010 nm: bad-value: wavelength: allowed: 250 to 1000 nm, the range of HBO2 (Prahl 1998, omlc.org)
 ? 1

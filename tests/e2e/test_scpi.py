@@ -155,6 +155,7 @@ def test_long_and_short_forms(raw):
         ("MED 1,2,0.5,1.4,0,1", '-108,"Parameter not allowed"'),
         ("*CLS 1", '-108,"Parameter not allowed"'),
         ("R? 1 2", '-103,"Invalid separator"'),
+        ("MED:WAV 850 nm", '-131,"Invalid suffix"'),
         ("R? 1,,2", '-109,"Missing parameter"'),
         ("R? 1.2.3", '-121,"Invalid character in number"'),
         ("R? one", '-104,"Data type error"'),

@@ -26,7 +26,11 @@ def id_of(info: Info, kind: str, name: str | int) -> int:
 
 
 def known(kind: str, name: str, choices: Mapping[str, T]) -> T:
-    """Returns the choice of that name. If there is none, the error names the nearest one."""
+    """Returns the choice of that name. If there is none, the error names the nearest one. A property
+    may be named without its unit."""
+    if kind == "property" and name not in choices:
+        whole = [one for one in choices if one.startswith(f"{name}_")]
+        name = whole[0] if len(whole) == 1 else name
     if name not in choices:
         near = difflib.get_close_matches(name, choices, 1)
         hint = f". Did you mean {near[0]}?" if near else ""

@@ -221,6 +221,7 @@ async def fit_tissue(
     medium, have no unknown scale. mhz: modulation of the light, one number or [P]; quantity: what
     is read, one name or [P]: "R", its amplitude, "phase" in degrees, or "modulation"."""
     info = session.info
+    sought = [sought] if isinstance(sought, str) else sought
     limits = sought if isinstance(sought, Mapping) else dict.fromkeys(sought)
     with naming("wavelengths_nm: one number, or an array [W]"):
         wavelengths = np.asarray(wavelengths_nm, "<f8").reshape(-1)
