@@ -523,9 +523,8 @@ size_t core_fit_bytes(const core_fit *fit) {
 
 /* ---- a set of readings ----------------------------------------------------------------------- */
 
-/* Returns the fault of the first invalid reading. */
-static core_fault check_set(const core_fit *fit, const double *values, const double *errors) {
-  for (size_t i = 0; i < fit->count; i++) {
+core_fault fit_check_set(size_t count, const double *values, const double *errors) {
+  for (size_t i = 0; i < count; i++) {
     if (!isfinite(values[i])) {
       return (core_fault){"value", "finite", i};
     }
@@ -563,7 +562,7 @@ void core_fit_search_free(core_fit_search *search) {
 
 bool core_fit_begin(core_fit_search *search, const core_fit *fit, const double *values,
                     const double *errors, core_fit_result *result, double *residuals) {
-  const core_fault fault = check_set(fit, values, errors);
+  const core_fault fault = fit_check_set(fit->count, values, errors);
   if (fault.field != NULL) {
     refuse(fit, fault, result, residuals);
     return false;

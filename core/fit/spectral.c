@@ -6,12 +6,18 @@
 
 #include "core/fit/search.h"
 #include "core/kernels.h"
-#include "core/tissue/tissue.h"
 
 #define CORE_REAL 64
 #include "core/kernel.h"
 
 enum { MOST = CORE_SPECTRAL_UNKNOWNS_MAX, CANDIDATES = 15, STARTS = 5, STEPS_MAX = 100 };
+
+/* Amounts, a and b, sought or given. */
+enum { TERMS_MAX = CORE_PROPERTIES_END };
+
+/* An unknown without a value that is given starts at this share of the range between its limits. */
+#define START_SHARE 0.02
+#define A_LEAST_PER_MM 1e-6
 
 /* A descent is settled after a step of fewer standard errors, and with logarithms, which only come
  * near, after one that lowers chi-squared by less than a reading's share. */
@@ -56,12 +62,19 @@ struct minimum {
   bool settled;
 };
 
+/* A number of the medium: sought between low and high, from `start` on, if high is above low; else
+ * `start` is given. */
+struct term {
+  unsigned property;
+  double start, low, high;
+};
+
 struct core_spectral {
   const core_fit *fit;
   size_t wavelengths, places, count; /* count: of readings */
   size_t chromophores, unknowns, oxy, deoxy;
   double rayleigh_share, vessel_radius_mm;
-  core_spectral_term terms[CORE_SPECTRAL_TERMS_MAX]; /* amounts, ln a and b */
+  struct term terms[TERMS_MAX]; /* amounts, ln a and b */
   size_t term_of[MOST];
   double low[MOST], high[MOST];  /* of the unknowns x: amounts, ln a and b */
   const double *values, *errors; /* the set */
@@ -83,93 +96,164 @@ struct core_spectral {
   double *model, *by_ratio, *by_scattering, *ln_values, *ln_model;
 };
 
-/* ---- checking -------------------------------------------------------------------------------- */
+/* ---- what is sought -------------------------------------------------------------------------- */
 
-static bool is_sought(const core_spectral_term *term) {
+static bool is_sought(const struct term *term) {
   return term->high > term->low;
 }
 
-static bool is_valid(const core_spectral_design *design, size_t i) {
-  const core_spectral_term *term = &design->terms[i];
-  const bool is_a = i == design->chromophore_count, is_b = i > design->chromophore_count;
-  const double least = is_b ? -10 : is_a ? 1e-6 : 0, most = is_b ? 10 : 1e6;
-  return term->start >= least && term->start <= most &&
-         (!is_sought(term) || (term->low >= least && term->high <= most));
+/* Returns the start and the limits of what is sought. */
+static struct term term_of(const core_tissue *tissue, const core_sought *sought, double most) {
+  const unsigned id = sought->property;
+  const bool is_a = id == CORE_PROPERTY_A, is_b = id == CORE_PROPERTY_B;
+  struct term term = {id, tissue->value[id], sought->low, sought->high};
+  if (sought->low == 0 && sought->high == 0) {
+    term.low = is_a ? 0.2 : is_b ? -0.5 : 0;
+    term.high = is_a ? 10 : is_b ? 4 : id <= CORE_PROPERTY_HB ? CORE_BLOOD_UM : most;
+  }
+  if (!(term.start > term.low && term.start < term.high)) {
+    term.start = is_a   ? sqrt(term.low * term.high)
+                 : is_b ? 0.5 * (term.low + term.high)
+                        : fma(START_SHARE, term.high - term.low, term.low);
+  }
+  return term;
 }
 
-core_fault core_spectral_check(const core_spectral_design *design, size_t places, unsigned scale) {
-  const size_t wavelengths = design->wavelength_count, terms = design->chromophore_count + 2;
-  size_t unknowns = 0;
-  if (terms > CORE_SPECTRAL_TERMS_MAX) {
-    return (core_fault){"sought", "with what is given 30 chromophores", 0};
-  }
-  for (size_t i = 0; i < terms; i++) {
-    if (!is_valid(design, i)) {
-      return (core_fault){
-          "sought", "with limits and start from 0 to 1e6, a_per_mm from 1e-6, b from -10 to 10", 0};
+/* Sets by_id[] of what is sought, and where its search starts in the tissue. */
+static core_fault take_sought(const core_spectral_design *design, core_tissue *tissue,
+                              struct term by_id[CORE_PROPERTIES_END]) {
+#define LEAST_OF(P, id, IDENT, name, about, least, most, usual) [id] = (least),
+#define MOST_OF(P, id, IDENT, name, about, least, most, usual) [id] = (most),
+  static const double leasts[CORE_PROPERTIES_END] = {CORE_EACH_PROPERTY(LEAST_OF, )};
+  static const double mosts[CORE_PROPERTIES_END] = {CORE_EACH_PROPERTY(MOST_OF, )};
+  for (size_t i = 0; i < design->sought_count; i++) {
+    const unsigned id = design->sought[i].property;
+    if (core_choice_by_id(core_properties, id) == NULL ||
+        (id > CORE_CHROMOPHORES_MAX && id != CORE_PROPERTY_A && id != CORE_PROPERTY_B)) {
+      return (core_fault){"property", "an amount, a_per_mm or b", i};
     }
-    unknowns += is_sought(&design->terms[i]);
+    if (is_sought(&by_id[id])) {
+      return (core_fault){"property", "each one once", i};
+    }
+    struct term *term = &by_id[id];
+    *term = term_of(tissue, &design->sought[i], mosts[id]);
+    if (!(is_sought(term) && term->high <= mosts[id])) {
+      return (core_fault){"high", "above low, and within the range of the property", i};
+    }
+    if (!(term->low >= (id == CORE_PROPERTY_A ? A_LEAST_PER_MM : leasts[id]))) {
+      return (core_fault){"low", "within the range of the property, of a_per_mm from 1e-6", i};
+    }
+    tissue->value[id] = term->start;
   }
-  if (unknowns < 1 || unknowns > MOST) {
-    return (core_fault){"sought", "1 to 16 numbers, with a high above the low", 0};
+  return core_tissue_check(tissue);
+}
+
+/* Lists the terms: amounts that are sought or not 0, a and b. */
+static void list_terms(core_spectral *of, const core_tissue *tissue, const struct term *by_id) {
+  size_t count = 0;
+  for (const core_choice *one = core_properties; one->id <= CORE_PROPERTY_B && one->name != NULL;
+       one++) {
+    const bool sought = is_sought(&by_id[one->id]);
+    const double value = tissue->value[one->id];
+    struct term term = sought ? by_id[one->id] : (struct term){one->id, value, 0, 0};
+    if (!sought && !(value > 0) && one->id <= CORE_CHROMOPHORES_MAX) {
+      continue;
+    }
+    if (one->id == CORE_PROPERTY_A) {
+      of->chromophores = count;
+      term = (struct term){one->id, fit_ln(term.start), fit_ln(term.low), fit_ln(term.high)};
+    }
+    if (sought) {
+      of->low[of->unknowns] = term.low;
+      of->high[of->unknowns] = term.high;
+      of->term_of[of->unknowns++] = count;
+    }
+    of->terms[count++] = term;
   }
-  if (!(wavelengths >= 1 && wavelengths * places >= unknowns + (scale == CORE_FIT_SCALE_FREE) &&
-        wavelengths * places <= CORE_SPECTRAL_READINGS_MAX)) {
-    return (core_fault){"wavelength_count",
-                        "such that a set has as many readings as unknowns, to 4096", 0};
+  of->oxy = of->deoxy = of->chromophores;
+  for (size_t i = 0; i < of->chromophores; i++) {
+    of->oxy = of->terms[i].property == CORE_PROPERTY_HBO2 ? i : of->oxy;
+    of->deoxy = of->terms[i].property == CORE_PROPERTY_HB ? i : of->deoxy;
   }
-  return (core_fault){0};
 }
 
 /* ---- preparing ------------------------------------------------------------------------------- */
 
-core_spectral *core_spectral_create(const core_spectral_design *design, size_t places) {
-  const size_t wavelengths = design->wavelength_count, count = wavelengths * places;
-  const size_t chromophores = design->chromophore_count;
-  core_spectral *of = malloc(sizeof *of);
-  double *numbers = malloc(((5 + 2 * chromophores) * wavelengths + 5 * count) * sizeof *numbers);
-  if (of == NULL || numbers == NULL) {
-    free(of);
-    free(numbers);
-    return NULL;
+/* Makes room for the arrays. */
+static bool allocate(core_spectral *of) {
+  const size_t wavelengths = of->wavelengths, count = of->count,
+               all = of->chromophores * wavelengths;
+  double *numbers = malloc((5 * wavelengths + 2 * all + 5 * count) * sizeof *numbers);
+  if (numbers == NULL) {
+    return false;
   }
-  *of = (core_spectral){.wavelengths = wavelengths,
-                        .places = places,
-                        .count = count,
-                        .chromophores = chromophores,
-                        .oxy = design->oxy,
-                        .deoxy = design->deoxy,
-                        .rayleigh_share = design->rayleigh_share,
-                        .vessel_radius_mm = design->vessel_radius_mm,
-                        .ln_wavelength = numbers,
-                        .sigma_a = numbers + wavelengths,
-                        .media = (struct fit_place *)(void *)(numbers + 2 * wavelengths),
-                        .by_b = numbers + 4 * wavelengths,
-                        .absorption = numbers + 5 * wavelengths};
-  of->by_amount = of->absorption + chromophores * wavelengths;
-  of->model = of->by_amount + chromophores * wavelengths;
+  of->ln_wavelength = numbers;
+  of->sigma_a = numbers + wavelengths;
+  of->media = (struct fit_place *)(void *)(numbers + 2 * wavelengths);
+  of->by_b = numbers + 4 * wavelengths;
+  of->absorption = numbers + 5 * wavelengths;
+  of->by_amount = of->absorption + all;
+  of->model = of->by_amount + all;
   of->by_ratio = of->model + count;
   of->by_scattering = of->by_ratio + count;
   of->ln_values = of->by_scattering + count;
   of->ln_model = of->ln_values + count;
-  memcpy(of->absorption, design->absorption_per_mm,
-         chromophores * wavelengths * sizeof *of->absorption);
-  for (size_t l = 0; l < wavelengths; l++) {
-    of->ln_wavelength[l] = fit_ln(design->wavelength_nm[l] / 500);
-  }
-  for (size_t i = 0; i < chromophores + 2; i++) {
-    core_spectral_term term = design->terms[i];
-    if (i == chromophores) {
-      term = (core_spectral_term){fit_ln(term.start), fit_ln(term.low), fit_ln(term.high)};
+  return true;
+}
+
+/* Sets logarithms of the wavelengths and the absorption there. */
+static core_fault set_spectra(core_spectral *of, const core_tissue *tissue,
+                              const double *wavelength_nm) {
+  core_fault fault = {0};
+  for (size_t l = 0; l < of->wavelengths && fault.field == NULL; l++) {
+    core_medium medium;
+    fault = core_tissue_medium(tissue, wavelength_nm[l], &medium);
+    for (size_t i = 0; i < of->chromophores && fault.field == NULL; i++) {
+      fault = core_chromophore_at((enum core_property)of->terms[i].property, tissue->haemoglobin,
+                                  wavelength_nm[l], &of->absorption[l * of->chromophores + i]);
     }
-    of->terms[i] = term;
-    if (is_sought(&design->terms[i])) {
-      of->low[of->unknowns] = term.low;
-      of->high[of->unknowns] = term.high;
-      of->term_of[of->unknowns++] = i;
-    }
+    of->ln_wavelength[l] = fit_ln(wavelength_nm[l] / 500);
+    fault.index = l;
   }
-  return of;
+  return fault;
+}
+
+core_fault core_spectral_create(core_spectral **made, const core_spectral_design *design,
+                                size_t places, unsigned scale) {
+  const size_t wavelengths = design->wavelength_count, count = wavelengths * places;
+  struct term by_id[CORE_PROPERTIES_END] = {{0}};
+  core_tissue tissue = design->tissue;
+  assert(design->sought_count >= 1);
+  *made = NULL;
+  core_fault fault = take_sought(design, &tissue, by_id);
+  if (fault.field != NULL) {
+    return fault;
+  }
+  if (!(tissue.value[CORE_PROPERTY_A] >= A_LEAST_PER_MM)) {
+    return (core_fault){"a_per_mm", "from 1e-6", 0};
+  }
+  if (!(wavelengths >= 1 && count >= design->sought_count + (scale == CORE_FIT_SCALE_FREE) &&
+        count <= CORE_SPECTRAL_READINGS_MAX)) {
+    return (core_fault){"wavelength_count",
+                        "such that a set has as many readings as unknowns, to 4096", 0};
+  }
+  core_spectral *of = calloc(1, sizeof *of);
+  if (of == NULL) {
+    return CORE_OUT_OF_MEMORY;
+  }
+  of->wavelengths = wavelengths;
+  of->places = places;
+  of->count = count;
+  of->rayleigh_share = tissue.value[CORE_PROPERTY_RAYLEIGH];
+  of->vessel_radius_mm = tissue.value[CORE_PROPERTY_VESSEL_RADIUS];
+  list_terms(of, &tissue, by_id);
+  fault = allocate(of) ? set_spectra(of, &tissue, design->wavelength_nm) : CORE_OUT_OF_MEMORY;
+  if (fault.field != NULL) {
+    core_spectral_free(of);
+  } else {
+    *made = of;
+  }
+  return fault;
 }
 
 void core_spectral_free(core_spectral *spectral) {
@@ -240,7 +324,7 @@ static double ln_scattering_of(const core_spectral *of, size_t l, double ln_a, d
 static bool set_media(core_spectral *of, const double *x) {
   const struct fit_place *least = &of->fit->least, *most = &of->fit->most;
   const double ln_a = term_at(of, x, of->chromophores), b = term_at(of, x, of->chromophores + 1);
-  double amounts[CORE_SPECTRAL_TERMS_MAX];
+  double amounts[TERMS_MAX];
   bool outside = false;
   for (size_t i = 0; i < of->chromophores; i++) {
     amounts[i] = term_at(of, x, i);
@@ -556,7 +640,7 @@ static void clear_result(const core_spectral *of, core_fault fault, core_spectra
                                    .evaluations = of->evaluations};
   for (size_t k = 0; k < of->unknowns; k++) {
     result->unknown[k] = unknown;
-    result->unknown[k].term = of->term_of[k];
+    result->unknown[k].property = of->terms[of->term_of[k]].property;
     for (size_t j = 0; j < of->unknowns; j++) {
       result->covariance[k * of->unknowns + j] = none;
     }
@@ -576,14 +660,10 @@ bool core_spectral_begin(core_spectral *of, const core_fit *places, const double
   of->next = of->minimum_count = 0;
   of->values = values;
   of->errors = errors;
-  for (size_t i = 0; i < of->count; i++) {
-    const bool known = isfinite(values[i]);
-    if (!known || !(errors[i] > 0 && isfinite(errors[i]))) {
-      const core_fault fault = {known ? "error" : "value", known ? "above 0, and finite" : "finite",
-                                i};
-      clear_result(of, fault, result, residuals);
-      return false;
-    }
+  const core_fault fault = fit_check_set(of->count, values, errors);
+  if (fault.field != NULL) {
+    clear_result(of, fault, result, residuals);
+    return false;
   }
   of->fit->model.loops->logarithms(of->count, values, of->ln_values);
   return true;
@@ -636,10 +716,10 @@ static enum core_fit_status judge(const struct found *at, bool bound, double err
                                          : CORE_FIT_STATUS_UNFINISHED;
 }
 
-static core_spectral_estimate estimate(size_t term, enum core_fit_status status, double value,
+static core_spectral_estimate estimate(unsigned property, enum core_fit_status status, double value,
                                        double error, double shift) {
   return (core_spectral_estimate){
-      .term = term,
+      .property = property,
       .status = status,
       .value = status == CORE_FIT_STATUS_UNDETERMINED ? (double)NAN : value,
       .error = status == CORE_FIT_STATUS_FITTED || status == CORE_FIT_STATUS_UNFINISHED
@@ -669,7 +749,8 @@ static void put_unknown(const core_spectral *of, const struct found *at, size_t 
   const enum core_fit_status status = judge(at, bound, error, shift, at->q.factor > 0 ? most : 0);
   const bool is_a = term == of->chromophores;
   const double value = is_a ? real_exp_signed(x) : x, scale = is_a ? value : 1;
-  result->unknown[k] = estimate(term, status, value, scale * error, scale * shift);
+  result->unknown[k] =
+      estimate(of->terms[term].property, status, value, scale * error, scale * shift);
   for (size_t j = 0; j < n; j++) {
     const double other = of->term_of[j] == of->chromophores ? real_exp_signed(at->q.x[j]) : 1;
     result->covariance[k * n + j] =
@@ -681,8 +762,7 @@ static void put_unknown(const core_spectral *of, const struct found *at, size_t 
 static void put_haemoglobin(const core_spectral *of, const struct found *at,
                             core_spectral_result *result) {
   const double none = (double)NAN;
-  const core_spectral_estimate absent = {of->chromophores + 2, CORE_FIT_STATUS_UNDETERMINED, none,
-                                         none, none};
+  const core_spectral_estimate absent = {0, CORE_FIT_STATUS_UNDETERMINED, none, none, none};
   double by_share[MOST] = {0}, by_total[MOST] = {0}, row[MOST], error, shift;
   bool sought = false, bound = at->q.outside;
   result->saturation = result->total = absent;
@@ -701,12 +781,10 @@ static void put_haemoglobin(const core_spectral *of, const struct found *at,
   }
   if (sought && total > 0) {
     measure(of, at, by_share, &error, &shift, row);
-    result->saturation =
-        estimate(absent.term, judge(at, bound, error, shift, CORE_SPECTRAL_SHARE_MOST), oxy / total,
-                 error, shift);
+    result->saturation = estimate(0, judge(at, bound, error, shift, CORE_SPECTRAL_SHARE_MOST),
+                                  oxy / total, error, shift);
     measure(of, at, by_total, &error, &shift, row);
-    result->total =
-        estimate(absent.term, judge(at, bound, error, shift, total), total, error, shift);
+    result->total = estimate(0, judge(at, bound, error, shift, total), total, error, shift);
   }
 }
 

@@ -17,10 +17,10 @@
 #define DIPOLED_CORE_FIT_SPECTRAL_H
 
 #include "core/fit/fit.h"
+#include "core/tissue/tissue.h"
 
 enum {
   CORE_SPECTRAL_UNKNOWNS_MAX = 16,   /* the factor aside */
-  CORE_SPECTRAL_TERMS_MAX = 32,      /* amounts, a and b, sought or given */
   CORE_SPECTRAL_READINGS_MAX = 4096, /* in a set: wavelengths times places */
 };
 
@@ -28,31 +28,28 @@ enum {
  * limits: half of the standard deviation of a number that may be anywhere between them. */
 #define CORE_SPECTRAL_SHARE_MOST 0.144
 
-/* A number of the medium: sought between low and high, from `start` on, if high is above low; else
- * `start` is given. */
-typedef struct core_spectral_term {
-  double start, low, high;
-} core_spectral_term;
+/* What is sought of a tissue: an amount, CORE_PROPERTY_A or CORE_PROPERTY_B, and its limits; both 0: 0
+ * (a .2, b -.5) to the property's most (haemoglobin that of whole blood, a 10, b 4). */
+typedef struct core_sought {
+  uint32_t property;
+  double low, high;
+} core_sought;
 
 typedef struct core_spectral_design {
+  core_tissue
+      tissue; /* what is known; of what is sought, where the search starts, if within limits */
+  size_t sought_count;       /* 1 to CORE_SPECTRAL_UNKNOWNS_MAX */
+  const core_sought *sought; /* [sought_count] */
   size_t wavelength_count;
-  const double *wavelength_nm; /* [wavelength_count] above 0 */
-  size_t chromophore_count;
-  /* [wavelength_count][chromophore_count] 1/mm for a unit of the amount, at least 0 */
-  const double *absorption_per_mm;
-  /* [chromophore_count + 2]: amounts, at least 0; then a in 1/mm, above 0; then b */
-  const core_spectral_term *terms;
-  size_t oxy, deoxy;     /* positions of oxyhaemoglobin and haemoglobin; chromophore_count: none */
-  double rayleigh_share; /* f, 0 to 1 */
-  double vessel_radius_mm; /* that holds both, at least 0 */
+  const double *wavelength_nm; /* [wavelength_count] */
 } core_spectral_design;
 
-/* What was found of a term, of the saturation or of the total: FITTED; UNDETERMINED (the value is
+/* What was found of a property, of the saturation or of the total: FITTED; UNDETERMINED (the value is
  * NAN); AT_BOUND (the value is a limit, or depends on one that is); AMBIGUOUS (another solution fits as well); IMPLAUSIBLE (as all of the set);
  * these have no error; or UNFINISHED (numerical errors of
  * R may shift it by more than its standard error, or the search did not settle). */
 typedef struct core_spectral_estimate {
-  size_t term; /* position in terms[] */
+  unsigned property; /* 0: of several */
   enum core_fit_status status;
   double value;
   double error;     /* standard, with all other unknowns free; INFINITY if it has none */
@@ -63,7 +60,7 @@ typedef struct core_spectral_result {
   enum core_fit_status status; /* as of a fit; FITTED only if all unknowns are */
   core_fault fault;            /* REFUSED: `value` or `error`, and the index of the reading */
   size_t unknown_count;
-  core_spectral_estimate unknown[CORE_SPECTRAL_UNKNOWNS_MAX]; /* in the order of the terms */
+  core_spectral_estimate unknown[CORE_SPECTRAL_UNKNOWNS_MAX]; /* by their ids */
   /* [unknown_count][unknown_count] as the readings' errors have it, of UNDETERMINED ones, too; a
    * variance is INFINITY without information */
   double covariance[CORE_SPECTRAL_UNKNOWNS_MAX * CORE_SPECTRAL_UNKNOWNS_MAX];
@@ -82,15 +79,15 @@ typedef struct core_spectral_result {
   unsigned evaluations;   /* of the model for all readings */
 } core_spectral_result;
 
-/* Returns the fault of a design for this many places. Fields: `sought`, `wavelength_count`. */
-core_fault core_spectral_check(const core_spectral_design *design, size_t places, unsigned scale);
-
 /* A design with what a search needs; one thread uses it at a time. */
 typedef struct core_spectral core_spectral;
 
-/* Prepares a design that core_spectral_check() accepts; it is copied. Returns NULL if memory runs out;
- * else the caller frees it with core_spectral_free(), which accepts NULL. */
-core_spectral *core_spectral_create(const core_spectral_design *design, size_t places);
+/* Prepares a design for this many places; it is copied. On a fault *made is NULL, else the caller frees
+ * it with core_spectral_free(), which accepts NULL. Fields: `property`, `low` and `high` with the index
+ * of what is sought; those of core_tissue_medium() with that of the wavelength; `wavelength_count`,
+ * `memory`. */
+core_fault core_spectral_create(core_spectral **made, const core_spectral_design *design,
+                                size_t places, unsigned scale);
 void core_spectral_free(core_spectral *spectral);
 
 /* Begins with a set, at places that have been prepared: values and errors [wavelength][place], as of

@@ -1,6 +1,7 @@
 /* Fit of a tissue: finds amounts of chromophores and scattering from sets of readings at wavelengths,
  * set by set. The places that they share are prepared on another thread and kept in the cache. */
 #include <math.h>
+#include <stddef.h>
 #include <stdlib.h>
 
 #include "core/fit/spectral.h"
@@ -14,9 +15,6 @@ enum { SETS, ESTIMATES, COVARIANCE, RESIDUALS };
 
 /* Evaluations of a search, on average, and the most radii of a dipole of a small request. */
 enum { EVALUATIONS = 60, SMALL_RADII = 8 * JOB_SLICE_RADII };
-
-/* An unknown without a value that is given starts at this share of the range between its limits. */
-#define START_SHARE 0.02
 
 /* What the places of a request have in common; the arrays at to quantity follow. */
 struct places {
@@ -34,8 +32,6 @@ struct tissue_fit {
   struct places *places; /* their content, owned */
   core_spectral *search; /* NULL before the first set */
   bool searches;         /* whether `search` has begun with the next set */
-  size_t term_count;     /* of property[] */
-  uint16_t property[CORE_SPECTRAL_TERMS_MAX];
   uint64_t evaluation_radii;
   struct job_parts parts; /* of the sets */
   uint64_t fitted;        /* how many sets of the part before index are a success */
@@ -120,139 +116,22 @@ static wire_error take_places(struct tissue_fit *of) {
   return job_error(fault);
 }
 
-/* ---- what is sought -------------------------------------------------------------------------- */
+/* ---- starting -------------------------------------------------------------------------------- */
 
-static bool is_sought(const core_spectral_term *term) {
-  return term->high > term->low;
-}
-
-/* Returns the start and the limits of a property; both limits 0: the usual ones. */
-static core_spectral_term term_of(const core_tissue *tissue, const wire_sought *sought,
-                                  double most) {
-  const bool is_a = sought->property == CORE_PROPERTY_A, is_b = sought->property == CORE_PROPERTY_B;
-  const bool usual = sought->low == 0 && sought->high == 0;
-  const bool blood = sought->property <= CORE_PROPERTY_HB;
-  core_spectral_term term = {tissue->value[sought->property], sought->low, sought->high};
-  if (usual) {
-    term.low = is_a ? 0.2 : is_b ? -0.5 : 0;
-    term.high = is_a ? 10 : is_b ? 4 : blood ? CORE_BLOOD_UM : most;
-  }
-  if (!(term.start > term.low && term.start < term.high)) {
-    term.start = is_a   ? sqrt(term.low * term.high)
-                 : is_b ? 0.5 * (term.low + term.high)
-                        : fma(START_SHARE, term.high - term.low, term.low);
-  }
-  return term;
-}
-
-/* Sets terms[id] of what is sought, and where its search starts in the tissue. */
-static wire_error take_sought(struct tissue_fit *of, core_spectral_term *terms) {
-#define MOST_OF(P, id, IDENT, name, about, least, most, usual) [id] = (most),
-  static const double most[CORE_PROPERTIES_END] = {CORE_EACH_PROPERTY(MOST_OF, )};
-  for (uint32_t i = 0; i < of->fixed.sought_count; i++) {
-    wire_sought one;
-    wire_get_sought(of->payload + of->layout.parts[SOUGHT].at + i * WIRE_BYTES_sought, &one);
-    const unsigned id = one.property;
-    wire_error error = wire_error_none();
-    if (core_choice_by_id(core_properties, id) == NULL ||
-        (id > CORE_CHROMOPHORES_MAX && id != CORE_PROPERTY_A && id != CORE_PROPERTY_B)) {
-      error = wire_error_make(WIRE_STATUS_BAD_VALUE, "property", "an amount, a_per_mm or b");
-    } else if (is_sought(&terms[id])) {
-      error = wire_error_make(WIRE_STATUS_BAD_VALUE, "property", "each one once");
-    } else {
-      terms[id] = term_of(&of->tissue, &one, most[id]);
-      of->tissue.value[id] = terms[id].start;
-      if (!(is_sought(&terms[id]) && terms[id].high <= most[id])) {
-        error = wire_error_make(WIRE_STATUS_BAD_VALUE, "high",
-                                "above low, and within the range of the property");
-      }
-    }
-    if (error.status != WIRE_STATUS_OK) {
-      error.index = i;
-      return error;
-    }
-  }
-  return wire_error_none();
-}
-
-/* Sets the terms: amounts that are sought or not 0, a and b. by_id: of what is sought. */
-static void list_terms(struct tissue_fit *of, const core_spectral_term *by_id,
-                       core_spectral_term *terms) {
-  for (const core_choice *one = core_properties; one->id <= CORE_PROPERTY_B && one->name != NULL;
-       one++) {
-    const bool sought = is_sought(&by_id[one->id]);
-    const double value = of->tissue.value[one->id];
-    if (sought || value > 0 || one->id > CORE_CHROMOPHORES_MAX) {
-      of->property[of->term_count] = (uint16_t)one->id;
-      terms[of->term_count++] = sought ? by_id[one->id] : (core_spectral_term){value, 0, 0};
-    }
-  }
-}
-
-/* Sets the absorption [wavelength][chromophore]. */
-static core_fault find_absorption(const struct tissue_fit *of, double *absorption) {
-  const double *wavelength = numbers_of(of, WAVELENGTH);
-  const size_t chromophores = of->term_count - 2;
-  core_fault fault = {0};
-  for (uint32_t l = 0; l < of->fixed.wavelength_count && fault.field == NULL; l++) {
-    core_medium medium;
-    fault = core_tissue_medium(&of->tissue, wavelength[l], &medium);
-    for (size_t i = 0; i < chromophores && fault.field == NULL; i++) {
-      fault = core_chromophore_at((enum core_property)of->property[i], of->tissue.haemoglobin,
-                                  wavelength[l], &absorption[l * chromophores + i]);
-    }
-    fault.index = l;
-  }
-  return fault;
-}
-
-static size_t term_of_property(const struct tissue_fit *of, unsigned id) {
-  size_t i = 0;
-  while (i < of->term_count - 2 && of->property[i] != id) {
-    i++;
-  }
-  return i;
-}
+_Static_assert(sizeof(core_sought) == WIRE_BYTES_sought && offsetof(core_sought, low) == 8,
+               "what is sought is read in place");
 
 /* Checks what is sought, and prepares the search. */
 static wire_error prepare_search(struct tissue_fit *of) {
-  core_spectral_term by_id[CORE_PROPERTIES_END] = {{0}}, terms[CORE_PROPERTIES_END];
-  wire_error error = take_sought(of, by_id);
-  if (error.status != WIRE_STATUS_OK) {
-    return error;
-  }
-  list_terms(of, by_id, terms);
-  core_spectral_design design = {.wavelength_count = of->fixed.wavelength_count,
-                                 .wavelength_nm = numbers_of(of, WAVELENGTH),
-                                 .chromophore_count = of->term_count - 2,
-                                 .terms = terms,
-                                 .oxy = term_of_property(of, CORE_PROPERTY_HBO2),
-                                 .deoxy = term_of_property(of, CORE_PROPERTY_HB),
-                                 .rayleigh_share = of->tissue.value[CORE_PROPERTY_RAYLEIGH],
-                                 .vessel_radius_mm = of->tissue.value[CORE_PROPERTY_VESSEL_RADIUS]};
-  core_fault fault = core_tissue_check(&of->tissue);
-  if (fault.field == NULL) {
-    fault = core_spectral_check(&design, of->fixed.place_count, of->fixed.scale);
-  }
-  if (fault.field != NULL) {
-    return job_error(fault);
-  }
-  const size_t count = design.chromophore_count * design.wavelength_count;
-  double *absorption = malloc((count + 1) * sizeof *absorption);
-  if (absorption == NULL) {
-    return job_no_memory();
-  }
-  design.absorption_per_mm = absorption;
-  error = job_error(find_absorption(of, absorption));
-  if (error.status == WIRE_STATUS_OK) {
-    of->search = core_spectral_create(&design, of->fixed.place_count);
-    error = of->search != NULL ? error : job_no_memory();
-  }
-  free(absorption);
-  return error;
+  const core_spectral_design design = {.tissue = of->tissue,
+                                       .sought_count = of->fixed.sought_count,
+                                       .sought = (const void *)numbers_of(of, SOUGHT),
+                                       .wavelength_count = of->fixed.wavelength_count,
+                                       .wavelength_nm = numbers_of(of, WAVELENGTH)};
+  const core_fault fault =
+      core_spectral_create(&of->search, &design, of->fixed.place_count, of->fixed.scale);
+  return fault.field != NULL ? job_fault(fault, fault.index) : wire_error_none();
 }
-
-/* ---- starting -------------------------------------------------------------------------------- */
 
 static wire_error check_request(struct tissue_fit *of, const struct job_request *from) {
   of->payload = from->payload;
@@ -297,7 +176,6 @@ static enum job_outcome start_tissue_fit(struct job *job, const struct job_reque
   of->places = NULL;
   of->search = NULL;
   of->searches = false;
-  of->term_count = 0;
   of->fitted = 0;
   of->parts.count = 0;
   if (!job_passes(job, check_request(of, from)) || !job_passes(job, admit_sets(of))) {
@@ -351,7 +229,7 @@ static void put_result(struct tissue_fit *of, const schema_layout *layout,
                          &fitted);
   for (size_t k = 0; k < n; k++) {
     const core_spectral_estimate *one = &result->unknown[k];
-    const wire_tissue_estimate estimate = {.property = of->property[one->term],
+    const wire_tissue_estimate estimate = {.property = (uint16_t)one->property,
                                            .status = (uint16_t)one->status,
                                            .value = one->value,
                                            .error = one->error,

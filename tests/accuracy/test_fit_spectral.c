@@ -10,8 +10,15 @@
 enum { HBO2, HB, WATER, FAT, CHROMOPHORES, A = CHROMOPHORES, B, TERMS, BANDS = 36, PLACES = 8 };
 static const char *const names[] = {"hbo2", "hb", "water", "fat", "a", "b"};
 static const double truth[TERMS] = {56, 24, 0.6, 0.3, 1.9, 1.2};
-static const core_spectral_term sought[TERMS] = {{30, 0, 2326}, {15, 0, 2326}, {0.7, 0, 1},
-                                                 {0.1, 0, 1},   {2, 0.2, 10},  {1.2, -0.5, 4}};
+/* A number of the medium: sought between low and high, if high is above low; else given. */
+typedef struct number {
+  double start, low, high;
+} number;
+static const enum core_property properties[TERMS] = {CORE_PROPERTY_HBO2,  CORE_PROPERTY_HB,
+                                                     CORE_PROPERTY_WATER, CORE_PROPERTY_FAT,
+                                                     CORE_PROPERTY_A,     CORE_PROPERTY_B};
+static const number sought[TERMS] = {{30, 0, 2326}, {15, 0, 2326}, {0.7, 0, 1},
+                                     {0.1, 0, 1},   {2, 0.2, 10},  {1.2, -0.5, 4}};
 static const double twelve[] = {650, 690, 730, 760, 800, 830, 850, 880, 910, 930, 970, 1000};
 
 /* An instrument, and what is sought of a medium. */
@@ -22,7 +29,7 @@ struct instrument {
   double error; /* relative, but of phases in degrees times 30 */
   double mhz[PLACES], quantity[PLACES];
   double rayleigh_share, vessel_radius_mm;
-  core_spectral_term terms[TERMS];
+  number terms[TERMS];
   core_fit *fit;
   core_spectral *spectral;
 };
@@ -61,19 +68,22 @@ static void prepare(struct instrument *of) {
                                   .of_spectra = true,
                                   .mhz = of->mhz,
                                   .quantity = of->quantity};
-  const core_spectral_design spectral = {.wavelength_count = of->bands,
-                                         .wavelength_nm = of->nm,
-                                         .chromophore_count = CHROMOPHORES,
-                                         .absorption_per_mm = of->absorption,
-                                         .terms = of->terms,
-                                         .oxy = HBO2,
-                                         .deoxy = HB,
-                                         .rayleigh_share = of->rayleigh_share,
-                                         .vessel_radius_mm = of->vessel_radius_mm};
+  core_sought list[TERMS];
+  core_spectral_design spectral = {.tissue = core_tissue_named(0),
+                                   .sought = list,
+                                   .wavelength_count = of->bands,
+                                   .wavelength_nm = of->nm};
+  spectral.tissue.value[CORE_PROPERTY_RAYLEIGH] = of->rayleigh_share;
+  spectral.tissue.value[CORE_PROPERTY_VESSEL_RADIUS] = of->vessel_radius_mm;
+  for (size_t k = 0; k < TERMS; k++) {
+    const number *one = &of->terms[k];
+    spectral.tissue.value[properties[k]] = one->start;
+    if (one->high > one->low) {
+      list[spectral.sought_count++] = (core_sought){properties[k], one->low, one->high};
+    }
+  }
   unit_assert_fault(core_fit_create(&of->fit, core_isa_select(NULL), &design), NULL, 0);
-  unit_assert_fault(core_spectral_check(&spectral, of->places, of->scale), NULL, 0);
-  of->spectral = core_spectral_create(&spectral, of->places);
-  assert_non_null(of->spectral);
+  unit_assert_fault(core_spectral_create(&of->spectral, &spectral, of->places, of->scale), NULL, 0);
 }
 
 static void finish(struct instrument *of) {
@@ -314,7 +324,7 @@ UNIT_TEST(phases_separate_absorption_and_scattering_without_a_scale) {
   static const double blood[TERMS] = {0, 60, 0, 0, 1.9, 1.2};
   struct instrument of = modulated(&twelve[4], 1, 3);
   for (size_t k = 0; k < TERMS; k++) {
-    of.terms[k] = k == HB || k == A ? sought[k] : (core_spectral_term){blood[k], 0, 0};
+    of.terms[k] = k == HB || k == A ? sought[k] : (number){blood[k], 0, 0};
   }
   const core_spectral_result found = fit_one(&of, blood, 8000);
   of.places = 3; /* amplitudes alone, then of constant light */
@@ -327,7 +337,8 @@ UNIT_TEST(phases_separate_absorption_and_scattering_without_a_scale) {
     assert_true(sqrt(vague.covariance[3]) > 10 * found.unknown[1].error);
   }
   for (size_t k = 0; k < 2; k++) {
-    const double value = blood[found.unknown[k].term];
+    const double value = blood[k == 0 ? HB : A];
+    assert_int_equal(found.unknown[k].property, properties[k == 0 ? HB : A]);
     printf("with phases: %.4g +- %.2g\n", found.unknown[k].value, found.unknown[k].error);
     assert_int_equal(found.unknown[k].status, CORE_FIT_STATUS_FITTED);
     assert_true(found.unknown[k].error < 0.05 * value);
@@ -384,7 +395,7 @@ UNIT_TEST(wavelengths_determine_what_a_linear_fit_says) {
       of.model = CORE_MODEL_BETTER;
       of.places = 1;
       for (size_t k = 2 + column; k < TERMS; k++) {
-        of.terms[k] = (core_spectral_term){tissue[k], 0, 0};
+        of.terms[k] = (number){tissue[k], 0, 0};
       }
       prepare(&of);
       for (size_t l = 0; l < bands; l++) {
@@ -428,7 +439,7 @@ UNIT_TEST(water_below_850_nm_is_never_fitted) {
   double R[BANDS * PLACES];
   uint64_t seed = 4000;
   of.error = 0.02;
-  of.terms[FAT] = (core_spectral_term){truth[FAT], 0, 0};
+  of.terms[FAT] = (number){truth[FAT], 0, 0};
   prepare(&of);
   read_profiles(&of, truth, R);
   for (int set = 0; set < 200; set++) {
@@ -460,8 +471,8 @@ UNIT_TEST(one_reading_of_the_albedo_gives_the_saturation_alone) {
   of.axis = CORE_FIT_AXIS_FREQUENCY;
   of.places = 1;
   of.at[0] = 0;
-  of.terms[WATER] = of.terms[FAT] = (core_spectral_term){0, 0, 0};
-  of.terms[B] = (core_spectral_term){truth[B], 0, 0};
+  of.terms[WATER] = of.terms[FAT] = (number){0, 0, 0};
+  of.terms[B] = (number){truth[B], 0, 0};
   const core_spectral_result result = fit_one(&of, blood, 6000);
   assert_int_equal(result.status, CORE_FIT_STATUS_UNDETERMINED);
   for (size_t k = 0; k < 3; k++) {
@@ -502,7 +513,7 @@ UNIT_TEST(two_solutions_at_one_distance_are_ambiguous) {
 
 UNIT_TEST(an_amount_at_its_limit_is_said) {
   struct instrument of = instrument(twelve, 12);
-  of.terms[HB] = (core_spectral_term){15, 0, 20};
+  of.terms[HB] = (number){15, 0, 20};
   const core_spectral_result result = fit_one(&of, truth, 7000);
   assert_int_equal(result.status, CORE_FIT_STATUS_AT_BOUND);
   expect(&result.unknown[HB], CORE_FIT_STATUS_AT_BOUND);
