@@ -420,7 +420,6 @@ struct maps {
   size_t estimates, bad; /* bad: pixels that were not fitted whole */
   cli_image images[2 * ESTIMATES_MOST + 2];
   size_t fitted[ESTIMATES_MOST]; /* pixels */
-  double sums[ESTIMATES_MOST];
 };
 
 /* Reads the images of all readings, [readings]. Says what is wrong and returns false. */
@@ -451,7 +450,6 @@ static void take_row(report *of, const dipole_tissue_fits *fits, size_t y, const
       const bool fitted = one.status == DIPOLE_FITTED;
       maps->images[2 * k].values[at] = fitted ? (float)one.value : NAN;
       maps->images[2 * k + 1].values[at] = fitted ? (float)one.error : NAN;
-      maps->sums[k] += fitted ? one.value : 0;
       maps->fitted[k] += fitted;
     }
     of->blood = of->blood || !isnan(fits->sets[x].saturation_error);
@@ -526,14 +524,11 @@ static bool write_maps(const report *of) {
 
 static void put_map(cli_rows *rows, const void *context, size_t index) {
   const report *of = context;
-  const size_t fitted = of->maps->fitted[index];
   const char *name;
   estimate_of(of, of->samples->fits, 0, index, &name);
   cli_put_text(rows, name, "unknown");
   cli_put_count(rows, of->maps->images->width * of->maps->images->height, "pixels");
-  cli_put_count(rows, fitted, "fitted");
-  cli_put_number(rows, of->maps->sums[index] / (double)fitted, "mean", .format = "%.5g",
-                 .missing = "-");
+  cli_put_count(rows, of->maps->fitted[index], "fitted");
 }
 
 static int fit_images(report *of, dipole_client *client) {

@@ -642,27 +642,23 @@ COMMAND(use_limit) {
 
 COMMAND(use_format) {
   static const char *const told[] = {"ASC", "REAL,32", "REAL,64"};
-  static const core_choice words[] = {{0, "ASCii", ""}, {1, "REAL", ""}, {0, NULL, NULL}};
-  static const core_choice sizes[] = {{32, "32", ""}, {64, "64", ""}, {0, NULL, NULL}};
-  static const char allowed[] = "ASCii, REAL,32 or REAL,64";
-  const schema_field word = {.name = "FORMat",
-                             .kind = SCHEMA_u32,
-                             .bytes = sizeof(uint32_t),
-                             .list = words,
-                             .allowed = allowed};
-  const schema_field size = {.name = "FORMat",
-                             .kind = SCHEMA_u32,
-                             .bytes = sizeof(uint32_t),
-                             .list = sizes,
-                             .allowed = allowed};
-  uint32_t real = 0, bits = 64;
+  struct scpi_parameter word, size;
+  double bits = 64;
   (void)command;
   if (unit->query) {
     return answer(s, told[s->settings.format]);
   }
-  if (!take_field(s, unit, &word, NULL, &real) ||
-      (real && unit->more && !take_field(s, unit, &size, NULL, &bits)) || !took_all(s, unit)) {
+  if (!take_parameter(s, unit, &word)) {
     return FAILED;
+  }
+  const bool real = is_word(&word, "REAL");
+  if ((real && unit->more &&
+       !(take_parameter(s, unit, &size) && read_number(s, &size, NULL, &bits))) ||
+      !took_all(s, unit)) {
+    return FAILED;
+  }
+  if (!(real ? bits == 32 || bits == 64 : is_word(&word, "ASCii") || is_word(&word, "DEFault"))) {
+    return fail_with(s, SCPI_BAD_VALUE, "FORMat", "ASCii, REAL,32 or REAL,64");
   }
   s->settings.format = !real ? SCPI_ASCII : bits == 32 ? SCPI_REAL_32 : SCPI_REAL_64;
   return DONE;

@@ -122,14 +122,14 @@ wavelength_nm,f,image,relative_error
 $ dipole fit images.csv --unknown hbo2,hb,a,b --tissue water=.6 --maps out.pfm; for i in out.*.pfm; do perl -e 'local $/; $_ = <>; s/^Pf\n2 1\n-1.0\n//; printf "%s %.4g %.4g\n", $ARGV, unpack "f<2", $_' $i; done
 water=.6, haemoglobin by prahl, model transport, moments exact, g 0.9, eta 1.4, scale absolute
 
-unknown     pixels  fitted  mean
-----------  ------  ------  ----
-hbo2_uM          2       1    56
-hb_uM            2       1    24
-a_per_mm         2       1   1.9
-b                2       1   1.2
-saturation       2       1   0.7
-total_uM         2       1    80
+unknown     pixels  fitted
+----------  ------  ------
+hbo2_uM          2       1
+hb_uM            2       1
+a_per_mm         2       1
+b                2       1
+saturation       2       1
+total_uM         2       1
 out.a_per_mm.pfm 1.9 NaN
 out.a_per_mm_error.pfm 0.05323 NaN
 out.b.pfm 1.2 NaN
