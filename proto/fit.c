@@ -60,41 +60,6 @@ void fit_design_read(const uint8_t *bytes, fit_design *read) {
   }
 }
 
-/* ---- replies --------------------------------------------------------------------------------- */
-
-wire_fitted fit_result_encode(const core_fit_result *result) {
-  const double nan = (double)NAN;
-  const core_fit_covariance none = {nan, nan, nan, nan, nan, nan};
-  const bool refused = result->status == CORE_FIT_STATUS_REFUSED;
-  const core_fit_covariance *covariance = refused ? &none : &result->covariance;
-  return (wire_fitted){
-      .status = (uint16_t)result->status,
-      .bounds = (uint16_t)result->bounds,
-      .field = !refused                                    ? 0
-               : strcmp(result->fault.field, "error") == 0 ? 2
-                                                           : 1,
-      .index = refused ? (uint32_t)result->fault.index : 0,
-      .evaluations = result->evaluations,
-      .sigma_a = result->best.sigma_a_per_mm,
-      .sigma_s_prime = result->best.sigma_s_prime_per_mm,
-      .factor = result->best.factor,
-      .chi_squared = result->best.chi_squared,
-      .reduced_chi_squared = result->reduced_chi_squared,
-      .condition = result->condition,
-      .variance_a = covariance->a_a,
-      .covariance_a_s = covariance->a_s,
-      .variance_s = covariance->s_s,
-      .covariance_a_factor = covariance->a_factor,
-      .covariance_s_factor = covariance->s_factor,
-      .variance_factor = covariance->factor_factor,
-      .second_sigma_a = result->second.sigma_a_per_mm,
-      .second_sigma_s_prime = result->second.sigma_s_prime_per_mm,
-      .second_factor = result->second.factor,
-      .second_chi_squared = result->second.chi_squared,
-      .model_error = result->model_error,
-  };
-}
-
 uint64_t fit_residuals_offset(uint64_t set_count) {
   return WIRE_BYTES_fit_reply + set_count * WIRE_BYTES_fitted;
 }

@@ -36,9 +36,6 @@ wire_error fit_request_parse(const uint8_t *payload, const schema_layout *layout
 /* Reads the design of a request that was parsed; the bytes may be a copy at a multiple of 8. */
 void fit_design_read(const uint8_t *design_bytes, fit_design *design);
 
-/* Makes the structure of one result. */
-wire_fitted fit_result_encode(const core_fit_result *result);
-
 /* Returns the offset of the residuals, [set_count][residuals], in the payload of a reply. */
 uint64_t fit_residuals_offset(uint64_t set_count);
 

@@ -523,32 +523,33 @@ size_t core_fit_bytes(const core_fit *fit) {
 
 /* ---- a set of readings ----------------------------------------------------------------------- */
 
-core_fault fit_check_set(size_t count, const double *values, const double *errors) {
+struct fit_wrong fit_check_set(size_t count, const double *values, const double *errors) {
   for (size_t i = 0; i < count; i++) {
-    if (!isfinite(values[i])) {
-      return (core_fault){"value", "finite", i};
-    }
-    if (!(errors[i] > 0 && errors[i] < (double)INFINITY)) {
-      return (core_fault){"error", "above 0, and finite", i};
+    const bool known = isfinite(values[i]);
+    if (!known || !(errors[i] > 0 && errors[i] < (double)INFINITY)) {
+      return (struct fit_wrong){known ? 2 : 1, (uint32_t)i};
     }
   }
-  return (core_fault){0};
+  return (struct fit_wrong){0, 0};
 }
 
-static void refuse(const core_fit *fit, core_fault fault, core_fit_result *result,
+static void refuse(const core_fit *fit, struct fit_wrong wrong, core_fit_result *result,
                    double *residuals) {
-  const core_fit_solution none = {(double)NAN, (double)NAN, (double)NAN, (double)NAN};
+  const double nan = (double)NAN;
+  const core_fit_solution none = {nan, nan, nan, nan};
   *result = (core_fit_result){
       .status = CORE_FIT_STATUS_REFUSED,
-      .fault = fault,
+      .field = wrong.field,
+      .index = wrong.index,
       .best = none,
+      .reduced_chi_squared = nan,
+      .condition = nan,
+      .covariance = {nan, nan, nan, nan, nan, nan},
       .second = none,
-      .reduced_chi_squared = (double)NAN,
-      .condition = (double)NAN,
-      .model_error = (double)NAN,
+      .model_error = nan,
   };
   for (size_t i = 0; residuals != NULL && i < fit->count; i++) {
-    residuals[i] = (double)NAN;
+    residuals[i] = nan;
   }
 }
 
@@ -562,9 +563,9 @@ void core_fit_search_free(core_fit_search *search) {
 
 bool core_fit_begin(core_fit_search *search, const core_fit *fit, const double *values,
                     const double *errors, core_fit_result *result, double *residuals) {
-  const core_fault fault = fit_check_set(fit->count, values, errors);
-  if (fault.field != NULL) {
-    refuse(fit, fault, result, residuals);
+  const struct fit_wrong wrong = fit_check_set(fit->count, values, errors);
+  if (wrong.field != 0) {
+    refuse(fit, wrong, result, residuals);
     return false;
   }
   fit_search_begin(search, fit, values, errors);

@@ -150,18 +150,25 @@ typedef struct core_fit_covariance {
   double factor_factor;
 } core_fit_covariance;
 
+/* The layout is that of the wire as far as model_error. */
 typedef struct core_fit_result {
-  enum core_fit_status status;
-  /* Status REFUSED: field `value` or `error`, and the index. The other members are then NAN or
-   * 0. */
-  core_fault fault;
+  uint16_t status; /* enum core_fit_status */
+  uint16_t bounds; /* bits of enum core_fit_bound */
+  /* Status REFUSED: 1 if the value of a reading is wrong, 2 if its error is, and which reading; else
+   * 0. The members that follow are then NAN or 0. */
+  uint16_t field, zero;
+  uint32_t index;
+  uint32_t evaluations; /* of the model for all readings */
   core_fit_solution best;
-  core_fit_covariance covariance;
   double reduced_chi_squared; /* chi-squared over (readings - unknowns); NAN if they are as many */
   /* The largest over the least standard error along any direction of (ln sigma_a, ln sigma_s'), the
    * factor being free if it is unknown: the square root of the condition of the information matrix.
    * INFINITY if a direction changes nothing. */
   double condition;
+  core_fit_covariance covariance;
+  /* Another local minimum whose chi-squared is less than CORE_FIT_AMBIGUOUS above that of the best;
+   * all NAN if none was found. */
+  core_fit_solution second;
   /* The relative error of R of the best medium against radiative transport, at the distances of the
    * readings and between them. For TRANSPORT without gamma it is 0, or with detector_na the error
    * of the share that is detected. For all other models it is NAN: not known. With scale REFERENCE
@@ -169,12 +176,7 @@ typedef struct core_fit_result {
    * numerical error of R (core_profile_errors()): for TRANSPORT with g other than 0 that may be
    * 1e-3, and more with sigma_a above sigma_s'. */
   double model_error;
-  /* Another local minimum whose chi-squared is less than CORE_FIT_AMBIGUOUS above that of the best;
-   * all NAN if none was found. */
-  core_fit_solution second;
-  unsigned bounds;      /* bits of enum core_fit_bound */
-  unsigned evaluations; /* of the model for all readings */
-  unsigned notes;       /* bits of enum core_note, of the model */
+  unsigned notes; /* bits of enum core_note, of the model */
 } core_fit_result;
 
 /* Fits one set: values[count], which may be negative by noise, in 1/mm^2 (axis RADIUS) or 1 (FREQUENCY), or 1 for

@@ -562,7 +562,7 @@ static void set_best(const core_fit *fit, struct fit_readings readings,
   const size_t spare = fit_spare(fit);
   result->best = solution_of(&fit->model, q);
   result->model_error = model_error_of(fit, &result->best);
-  result->bounds = bounds_of(fit, q->place);
+  result->bounds = (uint16_t)bounds_of(fit, q->place);
   result->reduced_chi_squared = spare > 0 ? q->chi_squared / (double)spare : (double)NAN;
   set_errors(q, result);
   const bool impossible = q->chi_squared > fit->chi_squared_most &&

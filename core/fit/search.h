@@ -124,8 +124,12 @@ bool fit_search_step(core_fit_search *search);
 /* Sets the result, after the search is done. */
 void fit_search_result(const core_fit_search *search, core_fit_result *result, double *residuals);
 
-/* Returns the fault of the first invalid reading. */
-core_fault fit_check_set(size_t count, const double *values, const double *errors);
+/* The first invalid reading. field: 1 its value, 2 its error; 0: all are valid. */
+struct fit_wrong {
+  uint16_t field;
+  uint32_t index;
+};
+struct fit_wrong fit_check_set(size_t count, const double *values, const double *errors);
 
 /* Returns the chi-squared above which a fit is implausible. spare: readings less unknowns. */
 double fit_chi_squared_most(size_t spare);

@@ -621,26 +621,17 @@ static void begin_descent(core_spectral *of, bool logarithms) {
 }
 
 /* Sets a result of which nothing is known. */
-static void clear_result(const core_spectral *of, core_fault fault, core_spectral_result *result,
-                         double *residuals) {
+static void clear_result(const core_spectral *of, struct fit_wrong wrong,
+                         core_spectral_result *result, double *residuals) {
   const double none = (double)NAN;
-  const core_spectral_estimate unknown = {0, CORE_FIT_STATUS_REFUSED, none, none, none};
-  *result = (core_spectral_result){.status = CORE_FIT_STATUS_REFUSED,
-                                   .fault = fault,
-                                   .unknown_count = of->unknowns,
-                                   .saturation = unknown,
-                                   .total = unknown,
-                                   .factor = none,
-                                   .factor_error = none,
-                                   .chi_squared = none,
-                                   .reduced_chi_squared = none,
-                                   .condition = none,
-                                   .numerical_error = none,
-                                   .model_error = none,
-                                   .evaluations = of->evaluations};
+  const uint16_t refused = CORE_FIT_STATUS_REFUSED;
+  *result = (core_spectral_result){
+      refused, wrong.field, refused, refused, wrong.index, of->evaluations,
+      none,    none,        none,    none,    none,        none,
+      none,    none,        none,    none,    none,        .unknown_count = of->unknowns};
   for (size_t k = 0; k < of->unknowns; k++) {
-    result->unknown[k] = unknown;
-    result->unknown[k].property = of->terms[of->term_of[k]].property;
+    const unsigned property = of->terms[of->term_of[k]].property;
+    result->unknown[k] = (core_spectral_estimate){(uint16_t)property, refused, 0, none, none, none};
     for (size_t j = 0; j < of->unknowns; j++) {
       result->covariance[k * of->unknowns + j] = none;
     }
@@ -660,9 +651,9 @@ bool core_spectral_begin(core_spectral *of, const core_fit *places, const double
   of->next = of->minimum_count = 0;
   of->values = values;
   of->errors = errors;
-  const core_fault fault = fit_check_set(of->count, values, errors);
-  if (fault.field != NULL) {
-    clear_result(of, fault, result, residuals);
+  const struct fit_wrong wrong = fit_check_set(of->count, values, errors);
+  if (wrong.field != 0) {
+    clear_result(of, wrong, result, residuals);
     return false;
   }
   of->fit->model.loops->logarithms(of->count, values, of->ln_values);
@@ -719,8 +710,8 @@ static enum core_fit_status judge(const struct found *at, bool bound, double err
 static core_spectral_estimate estimate(unsigned property, enum core_fit_status status, double value,
                                        double error, double shift) {
   return (core_spectral_estimate){
-      .property = property,
-      .status = status,
+      .property = (uint16_t)property,
+      .status = (uint16_t)status,
       .value = status == CORE_FIT_STATUS_UNDETERMINED ? (double)NAN : value,
       .error = status == CORE_FIT_STATUS_FITTED || status == CORE_FIT_STATUS_UNFINISHED
                    ? error
@@ -761,11 +752,9 @@ static void put_unknown(const core_spectral *of, const struct found *at, size_t 
 /* Sets saturation and total. */
 static void put_haemoglobin(const core_spectral *of, const struct found *at,
                             core_spectral_result *result) {
-  const double none = (double)NAN;
-  const core_spectral_estimate absent = {0, CORE_FIT_STATUS_UNDETERMINED, none, none, none};
   double by_share[MOST] = {0}, by_total[MOST] = {0}, row[MOST], error, shift;
   bool sought = false, bound = at->q.outside;
-  result->saturation = result->total = absent;
+  result->saturation_status = result->total_status = CORE_FIT_STATUS_UNDETERMINED;
   if (of->oxy >= of->chromophores || of->deoxy >= of->chromophores) {
     return;
   }
@@ -781,10 +770,16 @@ static void put_haemoglobin(const core_spectral *of, const struct found *at,
   }
   if (sought && total > 0) {
     measure(of, at, by_share, &error, &shift, row);
-    result->saturation = estimate(0, judge(at, bound, error, shift, CORE_SPECTRAL_SHARE_MOST),
-                                  oxy / total, error, shift);
+    core_spectral_estimate one = estimate(
+        0, judge(at, bound, error, shift, CORE_SPECTRAL_SHARE_MOST), oxy / total, error, 0);
+    result->saturation_status = one.status;
+    result->saturation = one.value;
+    result->saturation_error = one.error;
     measure(of, at, by_total, &error, &shift, row);
-    result->total = estimate(0, judge(at, bound, error, shift, total), total, error, shift);
+    one = estimate(0, judge(at, bound, error, shift, total), total, error, 0);
+    result->total_status = one.status;
+    result->total = one.value;
+    result->total_error = one.error;
   }
 }
 
@@ -848,7 +843,7 @@ static void put_result(core_spectral *of, core_spectral_result *result, double *
     best = of->minima[i].chi_squared < best->chi_squared ? &of->minima[i] : best;
   }
   struct found at = {.settled = best->settled};
-  clear_result(of, (core_fault){0}, result, residuals);
+  clear_result(of, (struct fit_wrong){0, 0}, result, residuals);
   if (of->minimum_count == 0 || !expand(of, best->x, false, &at.q)) {
     result->status = CORE_FIT_STATUS_UNFINISHED;
     for (size_t k = 0; k < of->unknowns; k++) {

@@ -49,26 +49,25 @@ typedef struct core_spectral_design {
  * these have no error; or UNFINISHED (numerical errors of
  * R may shift it by more than its standard error, or the search did not settle). */
 typedef struct core_spectral_estimate {
-  unsigned property; /* 0: of several */
-  enum core_fit_status status;
+  uint16_t property; /* 0: of several */
+  uint16_t status;   /* enum core_fit_status */
+  uint32_t zero;
   double value;
   double error;     /* standard, with all other unknowns free; INFINITY if it has none */
   double numerical; /* how far numerical errors of R may shift the value */
 } core_spectral_estimate;
 
+/* The layout is that of the wire as far as model_error. */
 typedef struct core_spectral_result {
-  enum core_fit_status status; /* as of a fit; FITTED only if all unknowns are */
-  core_fault fault;            /* REFUSED: `value` or `error`, and the index of the reading */
-  size_t unknown_count;
-  core_spectral_estimate unknown[CORE_SPECTRAL_UNKNOWNS_MAX]; /* by their ids */
-  /* [unknown_count][unknown_count] as the readings' errors have it, of UNDETERMINED ones, too; a
-   * variance is INFINITY without information */
-  double covariance[CORE_SPECTRAL_UNKNOWNS_MAX * CORE_SPECTRAL_UNKNOWNS_MAX];
+  uint16_t status; /* as of a fit; FITTED only if all unknowns are */
+  uint16_t field;  /* REFUSED: as of a fit, with the index of the reading */
+  uint16_t saturation_status, total_status;
+  uint32_t index;
+  uint32_t evaluations; /* of the model for all readings */
   /* Oxyhaemoglobin's share of both, and their sum, by their covariance; NAN, and so are the errors,
    * unless both are there and one of them is sought. */
-  core_spectral_estimate saturation, total;
-  double factor; /* of all readings; 1 unless the scale is FREE */
-  double factor_error;
+  double saturation, saturation_error, total, total_error;
+  double factor, factor_error; /* of all readings; 1 and 0 unless the scale is FREE */
   double chi_squared;
   double reduced_chi_squared; /* over readings less unknowns; NAN if they are as many */
   /* The largest over the least standard error along directions of the unknowns, each in units of
@@ -76,7 +75,11 @@ typedef struct core_spectral_result {
   double condition;
   double numerical_error; /* largest of R at the readings, relative */
   double model_error;     /* largest of R against radiative transport; NAN: not known */
-  unsigned evaluations;   /* of the model for all readings */
+  size_t unknown_count;
+  core_spectral_estimate unknown[CORE_SPECTRAL_UNKNOWNS_MAX]; /* by their ids */
+  /* [unknown_count][unknown_count] as the readings' errors have it, of UNDETERMINED ones, too; a
+   * variance is INFINITY without information */
+  double covariance[CORE_SPECTRAL_UNKNOWNS_MAX * CORE_SPECTRAL_UNKNOWNS_MAX];
 } core_spectral_result;
 
 /* A design with what a search needs; one thread uses it at a time. */

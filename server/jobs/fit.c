@@ -3,6 +3,7 @@
 #include "proto/fit.h"
 
 #include <math.h>
+#include <stddef.h>
 #include <stdlib.h>
 
 #include "server/jobs/job.h"
@@ -164,10 +165,11 @@ static struct set next_set(const struct fit_job *fit) {
   return set;
 }
 
+_Static_assert(offsetof(core_fit_result, notes) == WIRE_BYTES_fitted, "a result has its layout");
+
 static void put_result(struct fit_job *fit, const core_fit_result *result) {
-  const wire_fitted fitted = fit_result_encode(result);
-  wire_put_fitted(fit->parts.payload + WIRE_BYTES_fit_reply + fit->parts.index * WIRE_BYTES_fitted,
-                  &fitted);
+  memcpy(fit->parts.payload + WIRE_BYTES_fit_reply + fit->parts.index * WIRE_BYTES_fitted, result,
+         WIRE_BYTES_fitted);
   fit->fitted += result->status == CORE_FIT_STATUS_FITTED;
   fit->notes |= result->notes;
   fit->parts.index++;

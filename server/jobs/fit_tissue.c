@@ -195,49 +195,18 @@ static enum job_outcome begin_tissue_part(struct job *job, uint8_t *payload) {
   return JOB_GOES_ON;
 }
 
-static wire_fitted_tissue encode_result(const core_spectral_result *result) {
-  const bool refused = result->fault.field != NULL;
-  return (wire_fitted_tissue){
-      .status = (uint16_t)result->status,
-      .field = !refused                                    ? 0
-               : strcmp(result->fault.field, "error") == 0 ? 2
-                                                           : 1,
-      .saturation_status = (uint16_t)result->saturation.status,
-      .total_status = (uint16_t)result->total.status,
-      .index = refused ? (uint32_t)result->fault.index : 0,
-      .evaluations = result->evaluations,
-      .saturation = result->saturation.value,
-      .saturation_error = result->saturation.error,
-      .total = result->total.value,
-      .total_error = result->total.error,
-      .factor = result->factor,
-      .factor_error = result->factor_error,
-      .chi_squared = result->chi_squared,
-      .reduced_chi_squared = result->reduced_chi_squared,
-      .condition = result->condition,
-      .numerical_error = result->numerical_error,
-      .model_error = result->model_error,
-  };
-}
+_Static_assert(offsetof(core_spectral_result, unknown_count) == WIRE_BYTES_fitted_tissue &&
+                   sizeof(core_spectral_estimate) == WIRE_BYTES_tissue_estimate,
+               "a result has its layout");
 
 static void put_result(struct tissue_fit *of, const schema_layout *layout,
                        const core_spectral_result *result) {
   uint8_t *payload = of->parts.payload;
   const size_t n = result->unknown_count, set = (size_t)of->parts.index++;
-  const wire_fitted_tissue fitted = encode_result(result);
-  wire_put_fitted_tissue(payload + layout->parts[SETS].at + set * WIRE_BYTES_fitted_tissue,
-                         &fitted);
-  for (size_t k = 0; k < n; k++) {
-    const core_spectral_estimate *one = &result->unknown[k];
-    const wire_tissue_estimate estimate = {.property = (uint16_t)one->property,
-                                           .status = (uint16_t)one->status,
-                                           .value = one->value,
-                                           .error = one->error,
-                                           .numerical = one->numerical};
-    wire_put_tissue_estimate(payload + layout->parts[ESTIMATES].at +
-                                 (set * n + k) * WIRE_BYTES_tissue_estimate,
-                             &estimate);
-  }
+  memcpy(payload + layout->parts[SETS].at + set * WIRE_BYTES_fitted_tissue, result,
+         WIRE_BYTES_fitted_tissue);
+  memcpy(payload + layout->parts[ESTIMATES].at + set * n * WIRE_BYTES_tissue_estimate,
+         result->unknown, n * WIRE_BYTES_tissue_estimate);
   memcpy(payload + layout->parts[COVARIANCE].at + set * n * n * sizeof(double), result->covariance,
          n * n * sizeof(double));
   of->fitted += result->status == CORE_FIT_STATUS_FITTED;
