@@ -417,7 +417,9 @@ static core_fault put_result(struct search *of, const struct minimum *best, bool
                              core_layers_fit *fit, double *residuals) {
   const size_t spare = of->of->count - (size_t)of->count;
   const double none = (double)NAN;
-  *fit = (core_layers_fit){.unknown_count = (size_t)of->layered,
+  *fit = (core_layers_fit){.unknowns = (uint16_t)of->of->unknowns,
+                           .reading_count = (uint32_t)of->of->count,
+                           .unknown_count = (size_t)of->layered,
                            .factor = factor_at(of, best->x),
                            .evaluations = of->evaluations};
   const bool precise = solve_finer(of, best, fit, residuals) <= 1;
@@ -438,7 +440,7 @@ static core_fault put_result(struct search *of, const struct minimum *best, bool
       fit->factor_error = error;
     } else {
       fit->unknown[k] =
-          (core_estimate){(enum core_unknown)(1U << of->position[k]), status, value, error};
+          (core_estimate){(uint16_t)(1U << of->position[k]), (uint16_t)status, 0, value, error};
     }
   }
   fit->status = fit_status(bound, fit->chi_squared > fit_chi_squared_most(spare), vague,

@@ -31,24 +31,28 @@ typedef struct core_layers_fit_request {
  * UNDETERMINED (the standard error of its logarithm is CORE_FIT_LN_ERROR_MAX or more; the value is
  * NAN). The errors are INFINITY but of FITTED ones. */
 typedef struct core_estimate {
-  enum core_unknown unknown;
-  enum core_fit_status status;
+  uint16_t unknown; /* enum core_unknown */
+  uint16_t status;  /* enum core_fit_status */
+  uint32_t zero;
   double value;
   double error; /* standard error, if all other unknowns are free */
 } core_estimate;
 
+/* The layout is that of the wire as far as numerical_error. */
 typedef struct core_layers_fit {
   /* As of a fit; FITTED only if all unknowns are. UNFINISHED, too, if numerical errors of R may
    * shift an unknown by more than its standard error. */
-  enum core_fit_status status;
-  size_t unknown_count;
-  core_estimate unknown[CORE_UNKNOWNS]; /* in the order of their bits */
-  double factor;       /* of all readings, as an unknown; 1 unless the scale is FREE */
-  double factor_error; /* its standard error; 0 unless the scale is FREE */
+  uint16_t status;
+  uint16_t unknowns;      /* of the request */
+  uint32_t reading_count; /* likewise */
+  uint64_t evaluations;   /* of layers for all readings */
+  double factor;          /* of all readings, as an unknown; 1 unless the scale is FREE */
+  double factor_error;    /* its standard error; 0 unless the scale is FREE */
   double chi_squared;
   double reduced_chi_squared; /* over readings less unknowns; NAN if they are as many */
   double numerical_error;     /* largest of R at the readings, relative; in no standard error */
-  unsigned evaluations;       /* of layers for all readings */
+  size_t unknown_count;
+  core_estimate unknown[CORE_UNKNOWNS]; /* in the order of their bits */
 } core_layers_fit;
 
 /* Returns the fault of a request. Fields: `scale`, `unknowns`, `reading_count`; `at`, `values` and

@@ -1,5 +1,6 @@
 /* Fit of layers: a request is fitted on another thread, as a slow thing of the cache, which keeps the
  * reply. */
+#include <stddef.h>
 #include <stdlib.h>
 
 #include "core/fit/layers.h"
@@ -36,12 +37,16 @@ static core_layers_fit_request read_request(const uint8_t *payload) {
                                    .errors = at + 2 * (size_t)fixed.reading_count};
 }
 
+_Static_assert(offsetof(core_layers_fit, unknown_count) == WIRE_BYTES_fit_layers_reply &&
+                   sizeof(core_estimate) == WIRE_BYTES_estimate,
+               "a result has its layout");
+
 static core_fault prepare_reply(void *thing, const struct cache_key *key, const core_isa *isa,
                                 const atomic_bool *stop) {
   struct layers_reply *reply = thing;
   const core_layers_fit_request request = read_request(key->content);
-  wire_fit_layers_reply fixed = {.unknowns = (uint16_t)request.unknowns,
-                                 .reading_count = (uint32_t)request.count};
+  const wire_fit_layers_reply fixed = {.unknowns = (uint16_t)request.unknowns,
+                                       .reading_count = (uint32_t)request.count};
   const uint64_t bytes = schema_bytes(&schema_fit_layers_reply, &fixed);
   uint8_t *payload = malloc((size_t)bytes);
   if (payload == NULL) {
@@ -54,22 +59,9 @@ static core_fault prepare_reply(void *thing, const struct cache_key *key, const 
     free(payload);
     return fault;
   }
-  fixed.status = (uint16_t)fit.status;
-  fixed.evaluations = fit.evaluations;
-  fixed.factor = fit.factor;
-  fixed.factor_error = fit.factor_error;
-  fixed.chi_squared = fit.chi_squared;
-  fixed.reduced_chi_squared = fit.reduced_chi_squared;
-  fixed.numerical_error = fit.numerical_error;
-  wire_put_fit_layers_reply(payload, &fixed);
-  for (size_t i = 0; i < fit.unknown_count; i++) {
-    const core_estimate *one = &fit.unknown[i];
-    const wire_estimate estimate = {.unknown = (uint16_t)one->unknown,
-                                    .status = (uint16_t)one->status,
-                                    .value = one->value,
-                                    .error = one->error};
-    wire_put_estimate(payload + WIRE_BYTES_fit_layers_reply + i * WIRE_BYTES_estimate, &estimate);
-  }
+  memcpy(payload, &fit, WIRE_BYTES_fit_layers_reply);
+  memcpy(payload + WIRE_BYTES_fit_layers_reply, fit.unknown,
+         fit.unknown_count * WIRE_BYTES_estimate);
   *reply = (struct layers_reply){payload, bytes};
   return fault;
 }

@@ -16,7 +16,7 @@ enum { SETS, ESTIMATES, COVARIANCE, RESIDUALS };
 /* Evaluations of a search, on average, and the most radii of a dipole of a small request. */
 enum { EVALUATIONS = 60, SMALL_RADII = 8 * JOB_SLICE_RADII };
 
-/* What the places of a request have in common; the arrays at to quantity follow. */
+/* What the places of a request have in common; the arrays at to quantity follow, as in the request. */
 struct places {
   uint32_t model, axis, scale, count;
   double g, eta, thickness_mm, detector_na;
@@ -104,10 +104,7 @@ static wire_error take_places(struct tissue_fit *of) {
                                 value[CORE_PROPERTY_ETA],
                                 value[CORE_PROPERTY_THICKNESS],
                                 fixed->detector_na};
-  for (unsigned i = 0; i < 5; i++) {
-    memcpy((double *)(of->places + 1) + i * (size_t)fixed->place_count, numbers_of(of, AT + i),
-           fixed->place_count * sizeof(double));
-  }
+  memcpy(of->places + 1, numbers_of(of, AT), place_bytes(of) - sizeof *of->places);
   const core_fit_design design = design_of(of->places);
   const core_fault fault = core_fit_check(&design);
   of->evaluation_radii = (uint64_t)(fault.field == NULL ? core_fit_cost_of(&design).evaluation *

@@ -55,7 +55,7 @@ static core_layers_fit fit_of(const core_medium layer[2], unsigned unknowns, uns
   }
   assert_true(fabs(chi_squared - fit.chi_squared) < 1e-9 * chi_squared);
   printf("status %d, chi-squared %.3g, %u evaluations, R within %.2g\n", (int)fit.status,
-         fit.chi_squared, fit.evaluations, fit.numerical_error);
+         fit.chi_squared, (unsigned)fit.evaluations, fit.numerical_error);
   return fit;
 }
 
