@@ -840,13 +840,12 @@ const cli_command cli_command_fit = {
         "unknown: sample_status is that of its sample.\n"
         "With --unknown the file has wavelength_nm, too, and for each wavelength of a sample the "
         "same places. A property is named with or without its unit, as hbo2 for hbo2_uM. The "
-        "saturation and the total of haemoglobin have their errors from the covariance. With "
-        "--maps "
-        "a line of FILE is an image, grey, PFM or PNG (its values as shares of 1): it has the "
-        "columns "
-        "image, a file, and error, the standard error of each pixel, or relative_error, as a share "
-        "of "
-        "the pixel, or both. What is not fitted is NaN in the maps, and counted.",
+        "saturation and the total of haemoglobin have their errors from the covariance. A column "
+        "relative_error is part of the error of R, as a share of R, besides error or in its place. "
+        "With --maps a line of FILE is an image in place of R, whose pixels have these errors: the "
+        "column image has a file, PFM or PNG (its values as shares of 1), all grey and of one "
+        "size. "
+        "What is not fitted is NaN in the maps, and counted.",
     .formats = "table,csv,json",
     .options = {options},
     .parameters = CLI_OF_INVERTED | CLI_PARAMETER_BIT(DETECTOR_NA),

@@ -140,43 +140,43 @@ static int take_query(report *of, dipole_client *client) {
 
 /* ---- readings -------------------------------------------------------------------------------- */
 
-/* Returns what the header lacks of wavelengths and places; NULL: nothing. */
-static const char *missing_place(const cli_sheet *sheet) {
+/* images: whether a line is an image, whose pixels stand for R. */
+static bool check_columns(const cli_sheet *sheet, const cli_csv_record *header, bool images) {
   const bool places =
       (sheet->at[RADIUS] == CLI_CSV_ABSENT) != (sheet->at[FREQUENCY] == CLI_CSV_ABSENT);
-  return sheet->at[WAVELENGTH] == CLI_CSV_ABSENT ? names[WAVELENGTH]
-         : !places                               ? "r or f (one of both)"
-                                                 : NULL;
-}
-
-static bool check_images(const cli_sheet *sheet, const cli_csv_record *header) {
-  const bool error =
-      sheet->at[VALUES + 1] != CLI_CSV_ABSENT || sheet->at[RELATIVE] != CLI_CSV_ABSENT;
-  const char *missing = missing_place(sheet);
-  missing = missing == NULL && sheet->at[COLUMNS] == CLI_CSV_ABSENT ? "image" : missing;
-  missing = missing == NULL && !error ? "error or relative_error" : missing;
-  return missing == NULL ||
-         cli_csv_fail_missing(
-             sheet->source, header, missing,
-             "wavelength_nm, r (mm) or f (1/mm), image (a file) and error, or "
-             "relative_error, for --maps, and may have source_mm, detector_mm, mhz");
-}
-
-static bool check_header(const cli_sheet *sheet, const cli_csv_record *header) {
-  const char *missing = missing_place(sheet);
-  size_t kinds = 0;
+  const char *missing = sheet->at[WAVELENGTH] == CLI_CSV_ABSENT          ? names[WAVELENGTH]
+                        : !places                                        ? "r or f (one of both)"
+                        : images && sheet->at[COLUMNS] == CLI_CSV_ABSENT ? "image"
+                                                                         : NULL;
+  size_t kinds = images;
   for (size_t i = VALUES; i < COLUMNS && missing == NULL; i += 2) {
     const bool read = sheet->at[i] != CLI_CSV_ABSENT;
-    missing = read && sheet->at[i + 1] == CLI_CSV_ABSENT ? names[i + 1] : NULL;
+    const bool error = sheet->at[i + 1] != CLI_CSV_ABSENT ||
+                       (i == VALUES && sheet->at[RELATIVE] != CLI_CSV_ABSENT);
+    if (read && images) {
+      return cli_fails("%s: the column %s is not read with --maps", sheet->source, names[i]);
+    }
+    missing = (read || (images && i == VALUES)) && !error ? names[i + 1] : NULL;
     kinds += read;
   }
   missing = missing == NULL && kinds == 0 ? names[VALUES] : missing;
   return missing == NULL ||
          cli_csv_fail_missing(
              sheet->source, header, missing,
-             "wavelength_nm, r (mm) or f (1/mm), R and error for --unknown, and may have sample, "
-             "source_mm, detector_mm; of modulated light mhz, phase (degrees), phase_error, "
-             "modulation, modulation_error");
+             images
+                 ? "wavelength_nm, r (mm) or f (1/mm), image (a file) and error, or "
+                   "relative_error, for --maps, and may have source_mm, detector_mm, mhz"
+                 : "wavelength_nm, r (mm) or f (1/mm), R and error for --unknown, and may have "
+                   "sample, source_mm, detector_mm, relative_error; of modulated light mhz, phase "
+                   "(degrees), phase_error, modulation, modulation_error");
+}
+
+static bool check_images(const cli_sheet *sheet, const cli_csv_record *header) {
+  return check_columns(sheet, header, true);
+}
+
+static bool check_header(const cli_sheet *sheet, const cli_csv_record *header) {
+  return check_columns(sheet, header, false);
 }
 
 /* Lists the samples, and the rows of each. */
@@ -222,6 +222,13 @@ static int compare_readings(const void *a, const void *b) {
   return compare_from(NM, a, b);
 }
 
+/* Returns the standard error of R in a row: that of the file, and what it says as a share of R. */
+static double error_of(const cli_sheet *sheet, size_t row, double R) {
+  const double error = cli_sheet_number(sheet, row, VALUES + 1);
+  const double share = cli_sheet_number(sheet, row, RELATIVE);
+  return isnan(share) ? error : hypot(isnan(error) ? 0 : error, share * R);
+}
+
 /* Lists the readings of a row. Returns how many. */
 static size_t list_readings(const report *of, size_t row, reading *to) {
   const cli_sheet *sheet = &of->sheet;
@@ -238,7 +245,8 @@ static size_t list_readings(const report *of, size_t row, reading *to) {
   for (size_t kind = 0; kind < (of->maps != NULL ? 1 : KINDS); kind++) {
     one.key[KEYS - 1] = quantities[kind];
     one.value = cli_sheet_number(sheet, row, VALUES + 2 * kind);
-    one.error = cli_sheet_number(sheet, row, VALUES + 2 * kind + 1);
+    one.error = kind == 0 ? error_of(sheet, row, one.value)
+                          : cli_sheet_number(sheet, row, VALUES + 2 * kind + 1);
     if (!isnan(one.value) || (kind == 0 && alone)) {
       to[count++] = one;
     }
@@ -485,11 +493,8 @@ static int fit_rows(report *of, dipole_client *client, const cli_image *images,
   cli_progress_start(&progress, "pixels");
   for (size_t y = 0; y < height && status == CLI_OK; y++) {
     for (size_t i = 0; i < readings * width; i++) {
-      const reading *of_pixel = &one->all[i % readings];
-      const double share = cli_sheet_number(&of->sheet, of_pixel->row, RELATIVE);
       values[i] = (double)images[i % readings].values[y * width + i / readings];
-      errors[i] =
-          hypot(isnan(of_pixel->error) ? 0 : of_pixel->error, isnan(share) ? 0 : share * values[i]);
+      errors[i] = error_of(&of->sheet, one->all[i % readings].row, values[i]);
     }
     dipole_tissue_fits_free(one->fits);
     one->fits = NULL;

@@ -68,7 +68,7 @@ errors are standard errors, inf where a value has none; numerical: how far numer
 shift a value; chi2 is the sum of the squares of (reading - fit) / error
 
 $ cut -d, -f1-6 waves.csv | dipole fit --unknown hbo2 --tissue a=1,b=1
-! dipole fit: standard input: the column phase_error is missing; the header has wavelength_nm, r, mhz, R, error, phase; it needs wavelength_nm, r (mm) or f (1/mm), R and error for --unknown, and may have sample, source_mm, detector_mm; of modulated light mhz, phase (degrees), phase_error, modulation, modulation_error
+! dipole fit: standard input: the column phase_error is missing; the header has wavelength_nm, r, mhz, R, error, phase; it needs wavelength_nm, r (mm) or f (1/mm), R and error for --unknown, and may have sample, source_mm, detector_mm, relative_error; of modulated light mhz, phase (degrees), phase_error, modulation, modulation_error
 ? 1
 
 $ sed 1s/R,error/x,y/ waves.csv | dipole fit --unknown hbo2 --tissue a=1,b=1,g=0 --scale free
@@ -104,7 +104,7 @@ $ dipole fit bands.csv --tissue liver
 ? 2
 
 $ cut -d, -f1,3- bands.csv | dipole fit --unknown hbo2 --tissue a=1,b=1
-! dipole fit: standard input: the column r or f (one of both) is missing; the header has wavelength_nm, R, error; it needs wavelength_nm, r (mm) or f (1/mm), R and error for --unknown, and may have sample, source_mm, detector_mm; of modulated light mhz, phase (degrees), phase_error, modulation, modulation_error
+! dipole fit: standard input: the column r or f (one of both) is missing; the header has wavelength_nm, R, error; it needs wavelength_nm, r (mm) or f (1/mm), R and error for --unknown, and may have sample, source_mm, detector_mm, relative_error; of modulated light mhz, phase (degrees), phase_error, modulation, modulation_error
 ? 1
 
 ## Images of several bands become maps; here of two pixels, the second without light.
@@ -146,13 +146,14 @@ out.total_uM.pfm 80 NaN
 out.total_uM_error.pfm 2.137 NaN
 ! dipole fit: images.csv: 1 of 2 pixels were not fitted whole: what is not fitted is NaN; the map status has the ids of `dipole info`
 
-$ dipole fit images.csv --unknown hbo2,hb --maps out.png; dipole fit images.csv --maps out.pfm; sed s/850-0.pfm/nothing.pfm/ images.csv | dipole fit --unknown hbo2 --maps out.pfm; cut -d, -f1-3 images.csv | dipole fit --unknown hbo2 --maps out.pfm; printf 'Pf\n1 1\n-1\n0000' > 850-0.pfm; dipole fit images.csv --unknown hbo2 --tissue a=1,b=1 --maps out.pfm
+$ dipole fit images.csv --unknown hbo2,hb --maps out.png; dipole fit images.csv --maps out.pfm; sed s/850-0.pfm/nothing.pfm/ images.csv | dipole fit --unknown hbo2 --maps out.pfm; cut -d, -f1-3 images.csv | dipole fit --unknown hbo2 --maps out.pfm; sed 's/image/image,R/;s/pfm/pfm,1/' images.csv | dipole fit --unknown hbo2 --maps out.pfm; printf 'Pf\n1 1\n-1\n0000' > 850-0.pfm; dipole fit images.csv --unknown hbo2 --tissue a=1,b=1 --maps out.pfm
 ! dipole fit: --maps: out.png does not end with .pfm
 ! `dipole fit --help` says more.
 ! dipole fit: --maps: give --unknown, too, with what is sought
 ! `dipole fit --help` says more.
 ! dipole fit: nothing.pfm: No such file or directory
-! dipole fit: standard input: the column error or relative_error is missing; the header has wavelength_nm, f, image; it needs wavelength_nm, r (mm) or f (1/mm), image (a file) and error, or relative_error, for --maps, and may have source_mm, detector_mm, mhz
+! dipole fit: standard input: the column error is missing; the header has wavelength_nm, f, image; it needs wavelength_nm, r (mm) or f (1/mm), image (a file) and error, or relative_error, for --maps, and may have source_mm, detector_mm, mhz
+! dipole fit: standard input: the column R is not read with --maps
 ! dipole fit: 850-0.pfm: all images have to be grey, and of the size of 660-0.pfm, 2 x 1
 ? 1
 
@@ -166,3 +167,13 @@ sample,unknown,value,error,numerical,status,scale,scale_error,chi2,readings,cond
 ! dipole fit: standard input: sample 1: each wavelength needs one reading at each of the same places: see 700 nm, line 34
 ! dipole fit: sample 1: 1010 nm: bad-value: wavelength: allowed: 250 to 1000 nm, the range of HBO2 (Prahl 1998, omlc.org)
 ? 1
+
+$ sed '1s/error/relative_error/;2,$s/[^,]*$/.01/' bands.csv | dipole fit --unknown hbo2,hb,water,a,b --tissue fat=.3 --format csv | cut -d, -f1-4
+sample,unknown,value,error
+1,hbo2_uM,55.99990143012229,0.5509185736524062
+1,hb_uM,23.999977826321444,0.40882379585709955
+1,water_fraction,0.6000012553434728,0.006384522005323616
+1,a_per_mm,1.9000024536527123,0.03170354561812928
+1,b,1.1999999198421833,0.02951666314913326
+1,saturation,0.699999824382381,0.004485935480328407
+1,total_uM,79.99987925644373,0.6143461341275079
