@@ -117,13 +117,12 @@ static void lay_taps(const double *r_mm, size_t count, double range_mm, taps *of
 }
 
 /* Returns the largest difference between E and the edge that the kernel gives, if each tap spreads
- * its light evenly over its bin. */
-static double edge_error(const double *r_mm, const taps *of) {
-  enum { PARTS = 8 };
+ * its light evenly over its bin, at `parts` places in each bin. */
+static double edge_error(const double *r_mm, const taps *of, int parts) {
   double worst = 1 - cli_edge_at(r_mm, of->ends[of->count]);
   for (size_t i = of->count / 2; i < of->count; i++) {
-    for (int k = 0; k < PARTS; k++) {
-      const double share = (double)k / PARTS;
+    for (int k = 0; k < parts; k++) {
+      const double share = (double)k / parts;
       const double x = of->ends[i] + share * (of->ends[i + 1] - of->ends[i]);
       const double kernel = of->edge[i] + share * (of->edge[i + 1] - of->edge[i]);
       worst = fmax(worst, fabs(kernel - cli_edge_at(r_mm, x)));
@@ -140,7 +139,7 @@ static double best_range(const double *r_mm, size_t count) {
   taps tried;
   for (int i = 0; i < RANGES; i++) {
     lay_taps(r_mm, count, least * pow(40, (double)i / RANGES), &tried);
-    const double error = edge_error(r_mm, &tried);
+    const double error = edge_error(r_mm, &tried, 8);
     best = error < best_error ? tried.range_mm : best;
     best_error = fmin(error, best_error);
   }
@@ -168,7 +167,7 @@ static int make_kernel(bake *of) {
     taps laid;
     lay_taps(r_mm, count, common ? most : ranges[i], &laid);
     ranges[i] = laid.range_mm;
-    errors[i] = edge_error(r_mm, &laid);
+    errors[i] = edge_error(r_mm, &laid, 128);
     beyond[i] = 2 * (1 - cli_edge_at(r_mm, laid.ends[count]));
     steps[i] = 0;
     for (size_t k = 0; k < count; k++) {
@@ -254,7 +253,9 @@ static int make_gaussians(bake *of) {
       of->sheet.values[6 * k + i] = shares[k];
       of->sheet.values[6 * k + 3 + i] = variances[k];
     }
-    for (size_t j = 0; j < CLI_EDGE_RADII; j += 16) {
+    /* places are dense next to the edge, where many Gaussians err most, and far from it */
+    for (size_t j = 0; j < CLI_EDGE_RADII;
+         j += 1 + (j < CLI_EDGE_RADII / 2 ? j : CLI_EDGE_RADII - j) / 64) {
       double edge = 0.5;
       for (size_t k = 0; k < count; k++) {
         edge += 0.5 * shares[k] * erf(r_mm[j] / sqrt(2 * variances[k]));

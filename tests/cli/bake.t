@@ -7,7 +7,7 @@ $ dipole bake kernel --medium skin1 --eta 1.4 --common --format hlsl --taps 11
 // eta 1.4 1.4 1.4 (refractive index)
 // colour 0.400296 0.186303 0.0988927 (share that leaves of the light that entered at normal incidence)
 // range_mm 7.3783 7.3783 7.3783 (offset of the last tap)
-// edge_error 0.0133974 0.0273923 0.0482006 (largest error beside a straight shadow edge, of the light inside, if taps take the light of their bins (half the way to each neighbour))
+// edge_error 0.0134912 0.0274942 0.0500509 (largest error beside a straight shadow edge, of the light inside, if taps take the light of their bins (half the way to each neighbour))
 // step 0.158057 0.30317 0.479536 (largest step if an edge is sharper than the taps lie apart)
 // beyond 0.0242815 0.000527959 0 (share of the light beyond the taps' bins, which the last taps take)
 // columns: weight_red,weight_green,weight_blue,offset
@@ -33,7 +33,7 @@ $ dipole bake kernel --sigma-a .1 --sigma-s 1 --g 0 --taps 11 --range 4
 // eta 1.3 1.3 1.3 (refractive index)
 // colour 0.306607 0.306607 0.306607 (share that leaves of the light that entered at normal incidence)
 // range_mm 4 4 4 (offset of the last tap)
-// edge_error 0.0154442 0.0154442 0.0154442 (largest error beside a straight shadow edge, of the light inside, if taps take the light of their bins (half the way to each neighbour))
+// edge_error 0.015565 0.015565 0.015565 (largest error beside a straight shadow edge, of the light inside, if taps take the light of their bins (half the way to each neighbour))
 // step 0.172227 0.172227 0.172227 (largest step if an edge is sharper than the taps lie apart)
 // beyond 0.0203938 0.0203938 0.0203938 (share of the light beyond the taps' bins, which the last taps take)
 // columns: weight_red,weight_green,weight_blue,offset_red,offset_green,offset_blue

@@ -65,7 +65,7 @@ def test_a_kernel_blurs_an_edge_as_it_says(client, medium):
     x = np.linspace(-3, 3, 6001) * offsets[-1] / 2
     lit = np.clip((x[:, None] - ends[:-1]) / np.diff(ends), 0, 1) @ weights
     found = np.abs(lit - edge_of(client, file, 0)(x)).max()
-    assert found == pytest.approx(file["edge_error"][0], rel=0.1, abs=1e-4)
+    assert 0.9 * file["edge_error"][0] - 1e-4 < found < 1.001 * file["edge_error"][0] + 1e-5
     assert weights.max() == pytest.approx(file["step"][0], rel=1e-6)
 
 
@@ -88,14 +88,14 @@ def test_burleys_profile_meets_an_edge_as_it_says(client, medium):
 
 @pytest.mark.parametrize("medium", MEDIA, ids=NAMES)
 def test_gaussians_meet_an_edge_as_they_say(client, medium):
-    file = bake("gaussians", medium, "--count", str(rng.integers(2, 8)))
+    file = bake("gaussians", medium, "--count", str(rng.integers(2, 13)))
     rows = np.array(file["rows"])
     shares, variances = rows[:, 0], rows[:, 3]
     assert shares.min() >= 0 and shares.sum() == pytest.approx(1, abs=1e-7)
     x = np.concatenate([[0], np.geomspace(1e-3, 60, 1500) * medium["path"] / (1 - medium["g"])])
     error = np.vectorize(math.erf)(x[:, None] / np.sqrt(2 * variances))
     found = np.abs(0.5 + error @ shares / 2 - edge_of(client, file, 0)(x)).max()
-    assert found == pytest.approx(file["edge_error"][0], rel=0.1, abs=3e-4)
+    assert 0.9 * file["edge_error"][0] - 3e-4 < found < 1.001 * file["edge_error"][0] + 1e-5
 
 
 @pytest.mark.parametrize("medium", MEDIA, ids=NAMES)
