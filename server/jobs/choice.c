@@ -37,7 +37,7 @@ wire_error choice_check(const eval_request *request) {
   const double tolerance = request->parameters.value[CORE_PARAMETER_TOLERANCE];
   if (isnan(tolerance)) {
     return wire_error_make(WIRE_STATUS_BAD_VALUE, "model",
-                           "a model of the list; 0 with the parameter tolerance alone");
+                           "a model of the list, or in its place a tolerance");
   }
   if (core_wants_derivatives(request->fixed.wanted) ||
       (request->fixed.wanted & (CORE_MODULATED | CORE_QUANTITY_BALANCE)) != 0) {

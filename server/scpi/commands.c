@@ -520,10 +520,18 @@ COMMAND(use_numbers) {
   return DONE;
 }
 
+static bool has_medium(struct scpi_session *s) {
+  return s->settings.layer_count > 0 ||
+         fail_with(s, SCPI_CONFLICT, "MEDium", "a medium, which has no default");
+}
+
 COMMAND(use_medium) {
   struct scpi_settings *settings = &s->settings;
   const bool listed = strchr(command->pattern, '<') != NULL; /* as LAYer<n> */
   const unsigned layer = listed ? unit->number : 1;
+  if (unit->query && !has_medium(s)) {
+    return FAILED;
+  }
   if (layer < 1 || layer > settings->layer_count + !unit->query || layer > CORE_LAYERS_MAX) {
     return fail_with(s, SCPI_CONFLICT, "MEDium", "a layer that there is, or the next one, up to 8");
   }
@@ -730,11 +738,6 @@ static bool start_task(struct scpi_session *s, enum scpi_task_index index, enum 
   }
   scpi_task_start(&s->tasks[index], type);
   return true;
-}
-
-static bool has_medium(struct scpi_session *s) {
-  return s->settings.layer_count > 0 ||
-         fail_with(s, SCPI_CONFLICT, "MEDium", "a medium, which has no default");
 }
 
 static const schema_payload *const replies[] = {[SCPI_FIT] = &schema_fit_reply,

@@ -246,6 +246,7 @@ def test_layers_slabs_and_frequencies(shared, raw):
         (f"{MED};:MOD NONE;:R? 1", '-224,"Illegal parameter value;model: '),
         (f"{MED};:EVAL 4;:R? 1", '-222,"Data out of range;evaluator: one of 1 (f64), 2 (f32), 3 (lut)"'),
         ("*RST;:R? 1", '-221,"Settings conflict;MEDium: '),
+        ("*RST;:MED?", '-221,"Settings conflict;MEDium: a medium, which has no default"'),
         ("FIT:RES?", '-230,"Data corrupt or stale;'),
         ("MC:RING 0,5,0", '-222,"Data out of range;ring_count: '),
         (f"{MED};:FIT:PLAC 1,2;READ 1;ERR 1,1;:FIT", '-226,"Lists not same length;'),
