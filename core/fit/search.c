@@ -22,6 +22,13 @@ static const struct choosing usual = {0.3, false, 4, 3};
  * on sigma_a, a valley that ends at the bound is so flat that rounding of the model's table may
  * leave a minimum there. */
 static const struct choosing careful = {0.1, true, FIT_STARTS_MAX, 1e300};
+
+/* Readings that exceed the unknowns by at most FIT_SPARSE may also have a second solution so near to
+ * the first that the starts of the grid lead to one of them alone. So a last round starts in eight
+ * directions around the best, at these distances in both logarithms. */
+static const double distances[] = {0.15, 0.6, 2};
+enum { DIRECTIONS = FIT_STARTS_MAX * sizeof distances[0] / sizeof distances };
+_Static_assert(DIRECTIONS == 8, "all neighbours on a square grid");
 #define CAREFUL_REDUCED 3.0
 
 /* First the residuals are those of logarithms, which are less curved, until steps are shorter than
@@ -201,11 +208,11 @@ static bool is_minimum(const double *chi, size_t i, bool rows) {
   return least;
 }
 
-/* Sets starts[FIT_STARTS_MAX] to positions in the grid, the best first, and returns their number. */
+/* Sets starts[FIT_STARTS_MAX] to places of the grid, the best first, and returns their number. */
 static size_t find_starts(const core_fit *fit, struct fit_readings readings,
-                          const struct choosing *choosing, size_t *starts) {
+                          const struct choosing *choosing, struct fit_place *starts) {
   double chi[FIT_GRID];
-  size_t count = 0;
+  size_t count = 0, found[FIT_STARTS_MAX];
   const double least = measure_grid(fit, readings, choosing->error, chi);
   const double most = least + choosing->worse * (double)fit->count;
   for (size_t i = 0; i < FIT_GRID; i++) {
@@ -214,15 +221,18 @@ static size_t find_starts(const core_fit *fit, struct fit_readings readings,
     }
     const size_t last = choosing->most;
     size_t at = count < last ? count++ : last;
-    while (at > 0 && chi[i] < chi[starts[at - 1]]) {
+    while (at > 0 && chi[i] < chi[found[at - 1]]) {
       if (at < last) {
-        starts[at] = starts[at - 1];
+        found[at] = found[at - 1];
       }
       at--;
     }
     if (at < last) {
-      starts[at] = i;
+      found[at] = i;
     }
+  }
+  for (size_t k = 0; k < count; k++) {
+    starts[k] = fit_grid_place(fit, found[k]);
   }
   return count;
 }
@@ -457,8 +467,21 @@ static bool wants_care(const core_fit_search *s) {
          bounds_of(s->fit, s->best.at.place) != 0;
 }
 
+/* Sets starts[FIT_STARTS_MAX] to places around the best medium, and returns their number. */
+static size_t find_places_around(const core_fit *fit, struct fit_place best,
+                                 struct fit_place *starts) {
+  for (size_t i = 0; i < FIT_STARTS_MAX; i++) {
+    const double far = distances[i / DIRECTIONS];
+    const int at = (int)(i % DIRECTIONS) + (i % DIRECTIONS >= DIRECTIONS / 2); /* not the middle */
+    starts[i] = moved(fit, best, (struct fit_place){far * (at / 3 - 1), far * (at % 3 - 1)});
+  }
+  return FIT_STARTS_MAX;
+}
+
 static void begin_round(core_fit_search *s) {
-  s->start_count = find_starts(s->fit, s->readings, s->is_careful ? &careful : &usual, s->starts);
+  s->start_count = s->round == 2 ? find_places_around(s->fit, s->best.at.place, s->starts)
+                                 : find_starts(s->fit, s->readings,
+                                               s->round == 1 ? &careful : &usual, s->starts);
   s->next_start = 0;
   s->stage = FIT_BEGINS_START;
 }
@@ -466,13 +489,15 @@ static void begin_round(core_fit_search *s) {
 /* Begins to descend from a medium of the grid, with logarithms if possible. */
 static void begin_start(core_fit_search *s) {
   if (s->next_start == s->start_count) {
-    const bool again = !s->is_careful && wants_care(s);
-    s->is_careful = true;
+    const bool again = s->round == 0
+                           ? wants_care(s)
+                           : s->round == 1 && s->best.found && fit_spare(s->fit) <= FIT_SPARSE;
+    s->round++;
     s->stage = again ? FIT_BEGINS_ROUND : FIT_IS_DONE;
     return;
   }
   s->now = (struct fit_minimum){.found = true};
-  s->place = fit_grid_place(s->fit, s->starts[s->next_start++]);
+  s->place = s->starts[s->next_start++];
   s->descent = descent_from(DAMPING_FIRST, STEP_LOGARITHMS);
   s->evaluations++;
   s->stage = expand(s->fit, s->readings, true, s->place, &s->now.at, NULL) ? FIT_COMES_NEAR
@@ -516,7 +541,7 @@ void fit_search_begin(core_fit_search *s, const core_fit *fit, const double *val
   fit->model.loops->logarithms(fit->count, values, s->logarithms);
   s->evaluations = 0;
   s->best.found = s->best.settled = s->second.found = s->second.settled = false;
-  s->is_careful = false;
+  s->round = 0;
   s->stage = FIT_BEGINS;
 }
 

@@ -92,7 +92,7 @@ enum fit_stage {
   FIT_IS_DONE,
 };
 
-enum { FIT_STARTS_MAX = 16 };
+enum { FIT_STARTS_MAX = 24 };
 
 /* If the readings exceed the unknowns by at most this many, the search for a second solution tries
  * more starts. */
@@ -104,8 +104,8 @@ struct core_fit_search {
   enum fit_stage stage;
   unsigned evaluations;
   struct fit_minimum best, second; /* the best two minima found */
-  bool is_careful;                 /* whether this is the second of two rounds of starts */
-  size_t starts[FIT_STARTS_MAX];   /* indices of media of the grid */
+  int round;                       /* of starts, from 0: usual, careful, around the best */
+  struct fit_place starts[FIT_STARTS_MAX];
   size_t start_count;
   size_t next_start;
   struct fit_place place; /* where the descent with linear residuals begins */

@@ -256,6 +256,54 @@ UNIT_TEST(flat_valleys_are_not_left_at_their_end) {
   assert_true(result.best.chi_squared < 1e-12);
 }
 
+/* Readings with an unknown factor, no more than two beyond the unknowns, that another medium fits, too:
+ * only the true one may be called fitted. */
+UNIT_TEST(a_second_medium_is_not_taken_for_the_true_one) {
+  static const struct {
+    unsigned axis;
+    double g, sigma_a, sigma_s_prime;
+    size_t count;
+    double at[5];
+  } cases[] = {
+      {CORE_FIT_AXIS_RADIUS, 0, 0.0213261, 0.363207, 3, {0.376676, 0.388602, 6.2604}},
+      {CORE_FIT_AXIS_RADIUS, 0, 8.2398e-4, 0.687633, 4, {0.656725, 0.716807, 0.869347, 3.09034}},
+      {CORE_FIT_AXIS_FREQUENCY, 0, 0.0200309, 0.357889, 3, {0.0522253, 0.05851, 0.0899281}},
+      {CORE_FIT_AXIS_FREQUENCY, 0.8, 0.00668344, 0.675241, 3, {0.202849, 1.09962, 1.25052}},
+      {CORE_FIT_AXIS_FREQUENCY,
+       0.8,
+       0.00122661,
+       0.704848,
+       4,
+       {0.0330736, 0.0868234, 0.0936793, 0.101087}},
+      {CORE_FIT_AXIS_FREQUENCY,
+       0,
+       0.0505865,
+       0.977555,
+       5,
+       {0.122293, 0.136323, 0.142326, 0.163989, 0.219017}},
+  };
+  for (size_t i = 0; i < sizeof cases / sizeof cases[0]; i++) {
+    struct subject subject = {.medium = {cases[i].sigma_a, cases[i].sigma_s_prime, 0, 1.4},
+                              .design = {.model = CORE_MODEL_TRANSPORT,
+                                         .moments = CORE_MOMENTS_EXACT,
+                                         .g = cases[i].g,
+                                         .eta = 1.4,
+                                         .axis = cases[i].axis,
+                                         .count = cases[i].count,
+                                         .at = cases[i].at,
+                                         .scale = CORE_FIT_SCALE_FREE}};
+    core_fit *fit = created(&subject.design);
+    fit_model_readings(fit, cases[i].sigma_a, cases[i].sigma_s_prime, subject.values);
+    set_errors(&subject, 3e-4);
+    core_fit_result result;
+    core_fit_run(fit, subject.values, subject.errors, &result, NULL);
+    core_fit_free(fit);
+    printf("case %zu: status %d, off by %.2g, chi-squared %.2g\n", i, (int)result.status,
+           off(&subject, &result.best), result.best.chi_squared);
+    assert_true(result.status != CORE_FIT_STATUS_FITTED || off(&subject, &result.best) < 1e-6);
+  }
+}
+
 /* The table of a model against profiles of single media, R and R(f). */
 static void compare_table(unsigned model, unsigned axis, double g) {
   enum { PLACES = 8 };
