@@ -36,17 +36,22 @@
 #define ERROR_TARGET OR_ZERO, RANGE(1e-9, 1), ALLOWED("0 (none), or 1e-9 to 1")
 #define LAYER_COUNT COUNT, RANGE(1, CORE_LAYERS_MAX), USUAL(1)
 
-#define KEY(field)                                                                                 \
-  .name = #field, .key = ",\"" #field "\":", .key_bytes = sizeof(",\"" #field "\":") - 1
 #define ONE(value, field, about, ...)                                                              \
-  {KEY(field), .kind = SCHEMA_##value, .count = 1, .bytes = WIRE_SIZE_##value, .meaning = about,   \
+  {.name = #field,                                                                                 \
+   .kind = SCHEMA_##value,                                                                         \
+   .count = 1,                                                                                     \
+   .bytes = WIRE_SIZE_##value,                                                                     \
+   .meaning = about,                                                                               \
    __VA_ARGS__},
 #define ARRAY(value, field, values, about, ...)                                                    \
-  {KEY(field),       .kind = SCHEMA_##value,                                                       \
-   .count = values,  .bytes = (values)*WIRE_SIZE_##value,                                          \
-   .meaning = about, __VA_ARGS__},
+  {.name = #field,                                                                                 \
+   .kind = SCHEMA_##value,                                                                         \
+   .count = values,                                                                                \
+   .bytes = (values)*WIRE_SIZE_##value,                                                            \
+   .meaning = about,                                                                               \
+   __VA_ARGS__},
 #define TEXT(field, values, about)                                                                 \
-  {KEY(field), .kind = SCHEMA_text, .count = values, .bytes = values, .meaning = about},
+  {.name = #field, .kind = SCHEMA_text, .count = values, .bytes = values, .meaning = about},
 #define WIRE_STRUCTURE(structure)                                                                  \
   static const schema_field fields_of_##structure[] = {                                            \
       WIRE_FIELDS_##structure(ONE, ARRAY, TEXT){.name = NULL}};

@@ -30,8 +30,6 @@ enum schema_kind {
 /* A field of a structure. messages.def says what its attributes mean. */
 typedef struct schema_field {
   const char *name; /* NULL ends a list of fields */
-  const char *key;  /* the name in JSON: a comma, the name in quotes and a colon */
-  uint8_t key_bytes;
   enum schema_kind kind;
   unsigned count; /* number of values, or bytes of a text */
   unsigned bytes; /* of all values */

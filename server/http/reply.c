@@ -84,9 +84,7 @@ static void write_field(struct text *text, const schema_field *field, const uint
 static const uint8_t *write_fields(struct text *text, const schema_field *fields,
                                    const uint8_t *at) {
   for (; fields->name != NULL; fields++) {
-    if (fields->kind == SCHEMA_f64 && fields->count == 1) { /* never internal or a choice */
-      http_text_field(text, fields, get_f64(at));
-    } else if (!fields->hidden) {
+    if (!fields->hidden) {
       write_field(text, fields, at);
     }
     at += fields->bytes;

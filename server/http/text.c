@@ -109,16 +109,6 @@ void http_text_number(struct text *text, const char *key, double value) {
   }
 }
 
-void http_text_field(struct text *text, const schema_field *field, double value) {
-  char *at = text_room(text, (size_t)field->key_bytes + DECIMAL_BYTES);
-  if (at != NULL) {
-    memcpy(at, field->key + !text->filled, (size_t)field->key_bytes - !text->filled);
-    at += field->key_bytes - !text->filled;
-    text->filled = true;
-    end_value(text, at + write_number(value, at));
-  }
-}
-
 /* Number of values for which room is made at a time. */
 enum { NUMBERS_AT_ONCE = 256 };
 

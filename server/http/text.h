@@ -13,7 +13,6 @@ void http_text_begin(struct text *text, const char *key, char bracket);
 void http_text_end(struct text *text, char bracket);
 void http_text_string(struct text *text, const char *key, const char *string);
 void http_text_number(struct text *text, const char *key, double value);
-void http_text_field(struct text *text, const schema_field *field, double value);
 void http_text_numbers(struct text *text, const char *key, const void *values, uint64_t count,
                        bool single); /* values are float if `single`, else double */
 void http_text_count(struct text *text, const char *key, uint64_t value);

@@ -6,26 +6,23 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "server/store/profiles.h"
+#include "server/jobs/job.h"
 
 enum { ROUNDED_BYTES = 16, ALLOWED_BYTES = sizeof((wire_error *)0)->allowed };
 
 static wire_error check_media(const eval_request *request) {
   const uint32_t layers = request->fixed.layer_count;
-  for (uint32_t i = 0; i < request->fixed.medium_count; i++) {
+  wire_error error = wire_error_none();
+  for (uint32_t i = 0; error.status == WIRE_STATUS_OK && i < request->fixed.medium_count; i++) {
     const core_medium *medium = &request->media[(size_t)i * layers];
     const core_fault fault =
         layers > 1 || medium->thickness_mm > 0
             ? core_profile_check(CORE_MODEL_TRANSPORT, request->fixed.moments, CORE_EVALUATOR_F64,
                                  medium, &request->parameters, NULL)
             : core_layers_check(medium, layers);
-    if (fault.field != NULL) {
-      wire_error error = wire_error_make(WIRE_STATUS_BAD_VALUE, fault.field, fault.allowed);
-      error.index = (uint64_t)i * layers + fault.index;
-      return error;
-    }
+    error = job_error_behind(fault, (size_t)i * layers);
   }
-  return wire_error_none();
+  return error;
 }
 
 /* Returns the quantities whose errors count. Without radii, only the albedo has a value. */
@@ -48,9 +45,8 @@ wire_error choice_check(const eval_request *request) {
     return wire_error_make(WIRE_STATUS_BAD_VALUE, "gamma",
                            "nothing without a model: the error with gamma is not known");
   }
-  const core_fault fault = core_parameter_check(CORE_PARAMETER_TOLERANCE, tolerance);
-  return fault.field == NULL ? check_media(request)
-                             : wire_error_make(WIRE_STATUS_BAD_VALUE, fault.field, fault.allowed);
+  const wire_error error = job_error(core_parameter_check(CORE_PARAMETER_TOLERANCE, tolerance));
+  return error.status == WIRE_STATUS_OK ? check_media(request) : error;
 }
 
 core_choose_request choice_request(const eval_request *request, core_radii_range radii) {

@@ -19,9 +19,9 @@ static struct stats *stats_of(const struct eval_job *eval) {
  * whether it has all radii. */
 static wire_error check_media(struct eval_job *eval, core_radii_range *radii) {
   const wire_eval_request *fixed = &eval->request.fixed;
-  const uint64_t most = eval->job.context->server->options.max_media;
-  if (fixed->medium_count > most) {
-    return job_too_large("medium_count", most, "media");
+  const wire_error error = job_check_count(&eval->job, fixed->medium_count);
+  if (error.status != WIRE_STATUS_OK) {
+    return error;
   }
   if (core_wants_derivatives(fixed->wanted)) {
     eval->request.parameters.value[CORE_PARAMETER_DERIVATIVES] = 1;
@@ -46,8 +46,7 @@ static wire_error check_media(struct eval_job *eval, core_radii_range *radii) {
                                &eval->request.parameters);
     }
     if (fault.field != NULL) {
-      fault.index += (size_t)channel * fixed->layer_count;
-      return job_error(fault);
+      return job_error_behind(fault, (size_t)channel * fixed->layer_count);
     }
     radii->least_mm = fmax(radii->least_mm, range.least_mm);
     radii->most_mm = fmin(radii->most_mm, range.most_mm);
@@ -146,11 +145,8 @@ static wire_error parse_request(struct eval_job *eval, const struct job_request 
 
 /* Checks a request that names a tolerance in place of a model. */
 static wire_error check_tolerance(struct eval_job *eval) {
-  const uint64_t most = eval->job.context->server->options.max_media;
-  if (eval->request.fixed.medium_count > most) {
-    return job_too_large("medium_count", most, "media");
-  }
-  const wire_error error = choice_check(&eval->request);
+  wire_error error = job_check_count(&eval->job, eval->request.fixed.medium_count);
+  error = error.status == WIRE_STATUS_OK ? choice_check(&eval->request) : error;
   return error.status == WIRE_STATUS_OK ? check_radii(eval) : error;
 }
 

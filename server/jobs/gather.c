@@ -74,20 +74,14 @@ static struct gather_work *new_work(struct gather_job *gather, const struct job_
 static wire_error check_media(const struct gather_job *gather) {
   const gather_request *request = &gather->request;
   const wire_gather_request *fixed = &request->fixed;
-  const uint64_t most = gather->job.context->server->options.max_media;
-  if (fixed->medium_count > most) {
-    return job_too_large("medium_count", most, "media");
+  wire_error error = job_check_count(&gather->job, fixed->medium_count);
+  for (uint32_t i = 0; error.status == WIRE_STATUS_OK && i < fixed->medium_count; i++) {
+    const size_t first = (size_t)i * fixed->layer_count;
+    error = job_error_behind(core_profile_check(fixed->model, fixed->moments, fixed->evaluator,
+                                                &request->media[first], &request->parameters, NULL),
+                             first);
   }
-  for (uint32_t channel = 0; channel < fixed->medium_count; channel++) {
-    core_fault fault = core_profile_check(fixed->model, fixed->moments, fixed->evaluator,
-                                          &request->media[(size_t)channel * fixed->layer_count],
-                                          &request->parameters, NULL);
-    if (fault.field != NULL) {
-      fault.index += (size_t)channel * fixed->layer_count;
-      return job_error(fault);
-    }
-  }
-  return wire_error_none();
+  return error;
 }
 
 static enum job_outcome start_gather(struct job *job, const struct job_request *from) {

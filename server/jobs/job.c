@@ -177,6 +177,11 @@ wire_error job_error(core_fault fault) {
   return error;
 }
 
+wire_error job_error_behind(core_fault fault, uint64_t first) {
+  fault.index += (size_t)first;
+  return job_error(fault);
+}
+
 wire_error job_fault(core_fault fault, uint64_t channel) {
   fault.index = channel;
   wire_error error = job_error(fault);
@@ -198,6 +203,11 @@ wire_error job_busy(void) {
   return wire_error_busy("max_total_bytes",
                          "fewer bytes at a time in the buffers of all connections",
                          JOB_RETRY_AFTER_MS);
+}
+
+wire_error job_check_count(const struct job *job, uint64_t medium_count) {
+  const uint64_t most = job->context->server->options.max_media;
+  return medium_count > most ? job_too_large("medium_count", most, "media") : wire_error_none();
 }
 
 wire_error job_too_large(const char *field, uint64_t most, const char *what) {

@@ -249,6 +249,9 @@ enum job_outcome job_follow(struct job *job, enum lookup_state state, const core
 /* Makes the error BAD_VALUE of a fault that core has found, or no error. */
 wire_error job_error(core_fault fault);
 
+/* The same for a fault in what begins at position `first` of a list. */
+wire_error job_error_behind(core_fault fault, uint64_t first);
+
 /* Makes the error of a fault in preparing a channel: BUSY if the preparation may succeed later,
  * else BAD_VALUE. */
 wire_error job_fault(core_fault fault, uint64_t channel);
@@ -258,6 +261,9 @@ wire_error job_no_memory(void);
 
 /* Makes the error BUSY for a budget of all buffers that is exhausted. */
 wire_error job_busy(void);
+
+/* Makes the error TOO_LARGE if there are more media than --max-media, or no error. */
+wire_error job_check_count(const struct job *job, uint64_t medium_count);
 
 /* Makes the error TOO_LARGE, whose `allowed` is the text "at most MOST WHAT". */
 wire_error job_too_large(const char *field, uint64_t most, const char *what);

@@ -172,9 +172,7 @@ static wire_error add_points(struct points *points, uint64_t n, const double *xy
   assert(points->next + n <= points->capacity);
   const core_fault fault = core_gather_check_points((size_t)n, xyz, channels, power);
   if (fault.field != NULL) {
-    wire_error error = wire_error_make(WIRE_STATUS_BAD_VALUE, fault.field, fault.allowed);
-    error.index = points->next + fault.index;
-    return error;
+    return job_error_behind(fault, points->next);
   }
   gather_name_add(&points->name, n, xyz, power);
   memcpy(points->xyz + points->next * GATHER_AXES, xyz, (size_t)n * GATHER_AXES * sizeof *xyz);
