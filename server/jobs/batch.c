@@ -130,9 +130,10 @@ static bool radii_are_right(const struct repeat_entry *entry, const uint8_t *rad
          memcmp(radii + bytes, zeros, (size_t)wire_padded(bytes) - bytes) == 0;
 }
 
-static bool profiles_are_there(size_t channel_count, const struct profiles_place *places) {
+static bool profiles_are_there(size_t channel_count, const struct repeat_channel *channels) {
   for (size_t i = 0; i < channel_count; i++) {
-    if (profiles_at(places[i]) == NULL) {
+    if (profiles_at(channels[i].profile) == NULL ||
+        (channels[i].compared && profiles_at(channels[i].ruler) == NULL)) {
       return false;
     }
   }
@@ -151,7 +152,7 @@ const struct repeat_entry *repeat_find(struct repeat *repeat, const uint8_t *pay
   }
   const struct repeat_entry *entry = look_up(repeat, cache_hash(0, payload, bytes), payload, bytes);
   return entry != NULL && entry->payload_bytes == payload_bytes &&
-                 profiles_are_there(entry->channel_count, entry->places) &&
+                 profiles_are_there(entry->channel_count, entry->channels) &&
                  (!is_listed(entry) || radii_are_right(entry, payload + bytes, radii))
              ? entry
              : NULL;
@@ -172,17 +173,44 @@ static const void *radii_of(const struct repeat_entry *entry, const uint8_t *pay
   return radii;
 }
 
-/* Writes the errors that hold for the listed radii of this request. A request for a grid needs none
- * of this: it has the radii of the entry, whose reply states their errors. */
-static void put_errors(const struct repeat_entry *entry, core_radii_range radii, uint8_t *at) {
-  for (size_t channel = 0; channel < entry->channel_count; channel++) {
-    const core_profile *profile = profiles_at(entry->places[channel]);
-    for (unsigned left = entry->wanted; left != 0; left &= left - 1) {
-      const core_stated_errors errors = core_profile_errors(profile, left & ~(left - 1), radii);
-      const wire_quantity_error error = {errors.numerical, errors.numerical_per_mm, (double)NAN};
-      wire_put_quantity_error(at, &error);
-      at += WIRE_BYTES_quantity_error;
-    }
+void batch_put_errors(const core_profile *profile, const core_profile *ruler, unsigned wanted,
+                      core_radii_range radii, const core_requested_radii *requested, uint8_t *at) {
+  enum { NOT_DRAWN = CORE_OF_CHANNEL | CORE_QUANTITY_MODEL_ERRORS };
+  const bool drawn = (wanted & EVAL_DRAWN) != 0;
+  double worst = (double)NAN; /* passes those over that cannot be compared */
+  for (unsigned left = wanted & ~EVAL_DRAWN; left != 0;
+       left &= left - 1, at += WIRE_BYTES_quantity_error) {
+    const unsigned quantity = left & ~(left - 1);
+    /* A sample's values are as exact as the cdf that gives the radii. */
+    const bool is_drawn = drawn && (quantity & NOT_DRAWN) == 0;
+    const unsigned with = quantity | (is_drawn ? (unsigned)CORE_QUANTITY_CDF : 0);
+    const core_stated_errors stated = core_profile_errors(profile, with, radii);
+    const double off = (wanted & CORE_QUANTITY_MODEL_ERROR) == 0 ? (double)NAN
+                       : quantity == CORE_QUANTITY_MODEL_ERROR
+                           ? worst
+                           : core_model_error(profile, ruler, with, requested);
+    const wire_quantity_error error = {stated.numerical, stated.numerical_per_mm,
+                                       isinf(off) ? (double)NAN : off};
+    worst = fmax(worst, off);
+    wire_put_quantity_error(at, &error);
+  }
+}
+
+/* Writes the listed radii, if they are wanted, and the errors that hold for them. A request for a grid
+ * needs none of this: it has the radii of the entry, whose reply states them and their errors. */
+static void put_listed(const struct repeat_entry *entry, const uint8_t *radii,
+                       core_radii_range range, uint8_t *reply) {
+  const core_requested_radii requested = {entry->grid, radii, range};
+  uint8_t *at = reply + entry->errors_offset;
+  if ((entry->wanted & CORE_QUANTITY_RADIUS) != 0) {
+    memcpy(reply + entry->radius_offset, radii, entry->payload_bytes - entry->request_bytes);
+  }
+  for (size_t i = 0; i < entry->channel_count; i++) {
+    const struct repeat_channel *channel = &entry->channels[i];
+    batch_put_errors(profiles_at(channel->profile),
+                     channel->compared ? profiles_at(channel->ruler) : NULL, entry->wanted, range,
+                     &requested, at);
+    at += (size_t)__builtin_popcount(entry->wanted) * WIRE_BYTES_quantity_error;
   }
 }
 
@@ -207,12 +235,12 @@ void repeat_reply(const struct repeat_entry *entry, struct batch *batch, struct 
   const void *r = radii_of(entry, payload, radii);
   memcpy(reply, entry->reply, entry->head_bytes);
   if (is_listed(entry)) {
-    put_errors(entry, range, reply + eval_albedo_offset((uint32_t)entry->channel_count));
+    put_listed(entry, payload + entry->request_bytes, range, reply);
   }
   uint8_t *to = reply + entry->head_bytes;
   for (size_t channel = 0; channel < entry->channel_count; channel++) {
-    to = take_channel(entry, entry->places[channel], batch, stats, r, to);
-    stats_add(stats, STATS_CACHE_HITS, 1);
+    to = take_channel(entry, entry->channels[channel].profile, batch, stats, r, to);
+    stats_add(stats, STATS_CACHE_HITS, 1 + entry->channels[channel].compared);
     stats_count_radii(stats, entry->model, entry->count);
   }
 }
@@ -220,18 +248,16 @@ void repeat_reply(const struct repeat_entry *entry, struct batch *batch, struct 
 /* ---- remembering requests -------------------------------------------------------------------- */
 
 /* Returns whether repeat_learn() may keep a request, so that repeat_find() finds it when a client
- * sends it again. A request for RADIUS, S, MODEL_ERROR or MODEL_ERRORS is not kept: no kernel evaluates
- * RADIUS, S depends on angles, which the profiles in the table do not have, and model errors on the
- * profile of transport. */
+ * sends it again. A request for S or MODEL_ERRORS is not kept: no pass evaluates them, as S depends on
+ * angles, which the profiles in the table do not have, and MODEL_ERRORS on another profile. */
 static bool can_repeat(const wire_eval_request *fixed, const eval_layout *layout,
-                       const struct profiles_place *places) {
+                       const struct repeat_channel *channels) {
   return fixed->medium_count <= REPEAT_CHANNELS && fixed->radius_count > 0 &&
          fixed->radius_count <= BATCH_SHORT_RADII && layout->arrays_per_channel > 0 &&
-         (fixed->wanted & (CORE_QUANTITY_RADIUS | CORE_QUANTITY_S | CORE_QUANTITY_MODEL_ERROR |
-                           CORE_QUANTITY_MODEL_ERRORS)) == 0 &&
+         (fixed->wanted & (CORE_QUANTITY_S | CORE_QUANTITY_MODEL_ERRORS)) == 0 &&
          bytes_before_radii(fixed) <= REPEAT_REQUEST_BYTES &&
          layout->arrays_offset <= REPEAT_REPLY_BYTES &&
-         profiles_are_there(fixed->medium_count, places);
+         profiles_are_there(fixed->medium_count, channels);
 }
 
 /* Returns the entry for a request: the one that already holds it, or else the one that is to be
@@ -250,9 +276,9 @@ static struct repeat_entry *make_room(struct repeat *repeat, const uint8_t *requ
 
 void repeat_learn(struct repeat *repeat, const eval_request *request, const core_grid *grid,
                   const eval_layout *layout, const uint8_t *reply,
-                  const struct profiles_place *places) {
+                  const struct repeat_channel *channels) {
   const wire_eval_request *fixed = &request->fixed;
-  if (!can_repeat(fixed, layout, places)) {
+  if (!can_repeat(fixed, layout, channels)) {
     return;
   }
   const uint8_t *payload = (const uint8_t *)request->media - WIRE_BYTES_eval_request;
@@ -271,7 +297,9 @@ void repeat_learn(struct repeat *repeat, const eval_request *request, const core
   entry->wanted = fixed->wanted;
   entry->grid = *grid;
   entry->channel_count = fixed->medium_count;
-  memcpy(entry->places, places, fixed->medium_count * sizeof *places);
+  entry->radius_offset = (size_t)layout->radius_offset;
+  entry->errors_offset = (size_t)layout->errors_offset;
+  memcpy(entry->channels, channels, fixed->medium_count * sizeof *channels);
   memcpy(entry->request, payload, bytes);
   memcpy(entry->reply, reply, entry->head_bytes);
 }

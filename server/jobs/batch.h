@@ -15,6 +15,7 @@
 #ifndef DIPOLED_BATCH_H
 #define DIPOLED_BATCH_H
 
+#include "core/ruler.h"
 #include "proto/eval.h"
 #include "server/observe/stats.h"
 #include "server/store/profiles.h"
@@ -60,6 +61,12 @@ bool batch_take(struct batch *batch, struct stats *stats, struct profiles_place 
 /* Evaluates all passes that have been gathered. */
 void batch_finish(struct batch *batch, struct stats *stats);
 
+/* Writes the errors of a channel's quantities, in their order, to `at`. ruler: the profile of transport,
+ * or NULL; radii: their range; requested: those at which the model error is compared, if it is wanted. A
+ * model error that is not known is NAN. */
+void batch_put_errors(const core_profile *profile, const core_profile *ruler, unsigned wanted,
+                      core_radii_range radii, const core_requested_radii *requested, uint8_t *at);
+
 /* ---- repeated requests ----------------------------------------------------------------------- */
 
 /* A request is found by its hash: in one of REPEAT_SETS sets, in any of its REPEAT_WAYS entries. */
@@ -69,6 +76,13 @@ enum {
   REPEAT_CHANNELS = 4,        /* the most channels of a request that is remembered */
   REPEAT_REQUEST_BYTES = 448, /* the longest, without its radii */
   REPEAT_REPLY_BYTES = 576,   /* the longest reply to it, without its arrays */
+};
+
+/* A channel of a request. */
+struct repeat_channel {
+  struct profiles_place profile;
+  struct profiles_place ruler; /* the profile of transport, if the channel is compared with it */
+  bool compared;
 };
 
 /* A request that has been served, and the start of its reply. */
@@ -83,9 +97,10 @@ struct repeat_entry {
   size_t count; /* number of radii */
   unsigned model;
   unsigned wanted;
-  core_grid grid; /* the radii, if they are not listed */
+  core_grid grid;                      /* the radii, if they are not listed */
+  size_t radius_offset, errors_offset; /* in the reply */
   size_t channel_count;
-  struct profiles_place places[REPEAT_CHANNELS];
+  struct repeat_channel channels[REPEAT_CHANNELS];
   uint8_t request[REPEAT_REQUEST_BYTES];
   uint8_t reply[REPEAT_REPLY_BYTES];
 };
@@ -99,11 +114,11 @@ struct repeat {
 };
 
 /* Remembers a request whose reply is one complete part, unless it is too long or cannot be repeated
- * (see can_repeat() in batch.c). places: those of its profiles, by channel. The caller has checked the request,
+ * (see can_repeat() in batch.c). The caller has checked the request,
  * and the check holds for any radii, because the request names a model that covers all radii. */
 void repeat_learn(struct repeat *repeat, const eval_request *request, const core_grid *grid,
                   const eval_layout *layout, const uint8_t *reply,
-                  const struct profiles_place *places);
+                  const struct repeat_channel *channels);
 
 /* Finds the remembered request that this one repeats. Returns NULL if there is none, if a profile
  * is gone, or if a radius is out of range; the caller then treats the request as a new one. If the

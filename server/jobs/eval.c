@@ -358,13 +358,9 @@ static core_requested_radii requested_radii(const struct eval_job *eval) {
   return (core_requested_radii){spread ? many : one, NULL, {0, 0}};
 }
 
-static double model_error(const struct eval_job *eval, unsigned wanted,
-                          const core_requested_radii *requested) {
-  if ((eval->request.fixed.wanted & CORE_QUANTITY_MODEL_ERROR) == 0) {
-    return (double)NAN;
-  }
-  return core_model_error(&eval->lookup.profile, eval->ruler.ready ? &eval->ruler.profile : NULL,
-                          wanted, requested);
+/* Returns the profile of transport that the channel is compared with, or NULL. */
+static const core_profile *ruler_of(const struct eval_job *eval) {
+  return eval->ruler.ready ? &eval->ruler.profile : NULL;
 }
 
 /* Where the albedos and errors begin, and their size. They are the same in each part. */
@@ -387,8 +383,6 @@ static void keep_head(struct eval_job *eval) {
   }
 }
 
-#define NOT_DRAWN (unsigned)(CORE_OF_CHANNEL | CORE_QUANTITY_MODEL_ERRORS)
-
 /* Returns a model error as replies state it: NAN if it is not known. Here INFINITY means that it is
  * not known. */
 static double as_told(double model_error) {
@@ -402,7 +396,6 @@ static void start_channel(struct eval_job *eval) {
   if (eval->head != NULL) {
     return; /* start_part() has written them */
   }
-  const unsigned wanted = wanted_of(eval);
   const unsigned listed = eval->request.fixed.wanted;
   const double albedo = (listed & CORE_QUANTITY_ALBEDO) != 0 ? profile->albedo : (double)NAN;
   memcpy(eval->reply + eval_albedo_offset(eval->channel), &albedo, sizeof albedo);
@@ -414,20 +407,8 @@ static void start_channel(struct eval_job *eval) {
   if ((listed & CORE_QUANTITY_MODEL_ERROR) != 0) {
     requested = requested_radii(eval);
   }
-  double worst = (double)NAN; /* passes those over that cannot be compared */
-  for (unsigned left = listed; left != 0; left &= left - 1) {
-    const unsigned quantity = left & ~(left - 1);
-    const bool is_drawn = eval->drawn && (quantity & NOT_DRAWN) == 0;
-    /* A sample's values are as exact as the cdf that gives the radii. */
-    const unsigned with = quantity | (is_drawn ? (unsigned)CORE_QUANTITY_CDF : 0);
-    const core_stated_errors stated = core_profile_errors(profile, with, eval->radii);
-    const double off =
-        quantity == CORE_QUANTITY_MODEL_ERROR ? worst : model_error(eval, with, &requested);
-    const wire_quantity_error error = {stated.numerical, stated.numerical_per_mm, as_told(off)};
-    worst = fmax(worst, off);
-    wire_put_quantity_error(
-        eval->reply + eval_error_offset(&eval->layout, wanted, eval->channel, quantity), &error);
-  }
+  batch_put_errors(profile, ruler_of(eval), wanted_of(eval), eval->radii, &requested,
+                   eval->reply + eval_error_offset(&eval->layout, listed, eval->channel, 1));
 }
 
 static void start_part(struct eval_job *eval) {
@@ -531,7 +512,7 @@ static void compare_models(const struct eval_job *eval, size_t n, const void *r,
     for (size_t i = 0; i < count; i++) {
       at[i] = single ? (double)((const float *)r)[first + i] : ((const double *)r)[first + i];
     }
-    core_model_errors_at(&eval->lookup.profile, eval->ruler.ready ? &eval->ruler.profile : NULL,
+    core_model_errors_at(&eval->lookup.profile, ruler_of(eval),
                          wanted != 0 ? wanted : (unsigned)CORE_QUANTITY_R, count, at, error);
     for (size_t i = 0; i < count; i++) {
       if (single) {
@@ -609,7 +590,7 @@ static void learn_request(const struct eval_job *eval) {
   if (!eval->drawn && eval->parts.part_count == 1 && eval->covers_all &&
       !choice_heeds_radii(&eval->choice, &eval->request)) {
     repeat_learn(&eval->job.context->repeat, &eval->request, &eval->grid, &eval->layout,
-                 eval->reply, eval->places);
+                 eval->reply, eval->channels);
   }
 }
 
@@ -623,7 +604,8 @@ static void channel_step(struct eval_job *eval, size_t n) {
   if (eval->layout.arrays_per_channel == 0 || advance_by(eval, n)) {
     pad_channel(eval);
     if (eval->channel < REPEAT_CHANNELS) {
-      eval->places[eval->channel] = eval->lookup.place;
+      eval->channels[eval->channel] =
+          (struct repeat_channel){eval->lookup.place, eval->ruler.place, eval->ruler.ready};
     }
     eval->channel++;
     if (eval->channel == eval->request.fixed.medium_count) {

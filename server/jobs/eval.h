@@ -4,7 +4,6 @@
 #define DIPOLED_EVAL_H
 
 #include "core/draw.h"
-#include "core/ruler.h"
 #include "proto/eval.h"
 #include "server/jobs/choice.h"
 #include "server/jobs/job.h"
@@ -34,8 +33,8 @@ struct eval_job {
   bool radii_done;               /* whether the radii have been written or are not wanted */
   unsigned notes;                /* the notes of all channels so far */
   struct profiles_lookup lookup; /* for the channel's profile */
-  struct profiles_place places[REPEAT_CHANNELS]; /* of the first channels' profiles */
-  struct profiles_lookup ruler; /* for that of transport, if the model error needs it */
+  struct profiles_lookup ruler;  /* for that of transport, if the model error needs it */
+  struct repeat_channel channels[REPEAT_CHANNELS]; /* the first ones */
 };
 
 /* The functions that follow are for offers.c. end() is that of struct job_kind. */

@@ -58,9 +58,23 @@ def random_lut(rng: random.Random) -> bytes:
     return eval_payload([SKIN], radii, **fields)
 
 
+def repeated_payloads(rng: random.Random) -> list[bytes]:
+    """Makes requests that differ from others in their radii alone. Transport is known for one of two
+    media, so that the other has no model error."""
+    error = QUANTITIES["model_error"]
+    fields = [
+        {"media": [SKIN, (0.1, 10.0, 0.0, 3.0)], "wanted": R | ALBEDO | RADIUS | error},
+        {"media": [SKIN], "wanted": R | CDF | error, "evaluator": F32},
+        {"media": [SKIN, SPECTRALON], "wanted": R | BALANCE, "model": MODELS["transport"]},
+    ]
+    radii = [[rng.uniform(0.0, 5.0) for _ in range(3)] for _ in range(8)]
+    return [eval_payload(radii=some, **one) for one in fields for some in radii]
+
+
 def mixed_payloads(seed: int) -> list[bytes]:
     rng = random.Random(seed)
     payloads = [similar_payload(rng) for _ in range(600)]
+    payloads += repeated_payloads(rng)
     payloads += [random_lut(rng) for _ in range(8)]
     rng.shuffle(payloads)
     return payloads
