@@ -114,6 +114,15 @@ double core_error_beyond(core_reach reach, double most_mm) {
   return exponent < 7 ? real_exp_signed(exponent) - 1 : (double)INFINITY;
 }
 
+/* Returns the band of numerical errors that a radius in mean free paths is in. */
+static size_t numerical_band(double mfp) {
+  size_t band = 0;
+  while (band + 1 < CORE_ERROR_BANDS && core_error_edges_mfp[band + 1] < mfp) {
+    band++;
+  }
+  return band;
+}
+
 double core_banded_error(const double errors[CORE_ERROR_BANDS + 1], double all,
                          const core_medium *medium, unsigned wanted, core_radii_range radii) {
   enum {
@@ -130,10 +139,7 @@ double core_banded_error(const double errors[CORE_ERROR_BANDS + 1], double all,
   const double sigma_t_prime = core_sigma_t_prime(medium);
   const double least = radii.least_mm * sigma_t_prime * (1 + SLACK);
   const double most = radii.most_mm * sigma_t_prime * (1 - SLACK);
-  size_t band = 0;
-  while (band + 1 < CORE_ERROR_BANDS && edges[band + 1] < least) {
-    band++;
-  }
+  size_t band = numerical_band(least);
   double error = (wanted & CORE_QUANTITY_ALBEDO) == 0 ? 0 : errors[CORE_ERROR_BANDS];
   error = real_max(error, errors[band]);
   while (band + 1 < CORE_ERROR_BANDS && edges[band + 1] < most) {
@@ -165,6 +171,17 @@ static bool is_too_near(const core_profile *profile, unsigned wanted, double r_m
   return r_mm > 0 &&
          (((wanted & (FOLLOWS_R | CORE_QUANTITY_CDF)) != 0 && r_mm < CORE_RADIUS_SMALL_MM) ||
           ((wanted & CORE_QUANTITY_SLOPE) != 0 && r_mm < least_mm));
+}
+
+core_radii_range core_errors_alike(const core_profile *profile, double r_mm) {
+  const double *edges = core_error_edges_mfp;
+  const double mfp_mm = 1 / core_sigma_t_prime(&profile->medium);
+  const size_t band = numerical_band(r_mm / mfp_mm * (1 + SLACK));
+  const double most = band + 1 < CORE_ERROR_BANDS ? edges[band + 1] * (1 - 2 * SLACK) : INFINITY;
+  const double least = band > 0 ? edges[band] : CORE_RADIUS_SMALL_MFP;
+  const core_radii_range alike = {real_max(least * mfp_mm, CORE_RADIUS_SMALL_MM),
+                                  real_min(most * mfp_mm, profile->reach.most_mm)};
+  return r_mm >= alike.least_mm && r_mm <= alike.most_mm ? alike : (core_radii_range){1, 0};
 }
 
 /* Returns the largest errors of CORE_PATHS and CORE_MODULATED that are wanted, and of the others. */

@@ -22,6 +22,10 @@ typedef struct core_model_errors {
  * gamma does not determine the phase function. */
 bool core_is_exact(unsigned model, bool gamma);
 
+/* Returns radii around r_mm, without a margin at the edges of bands, at which core_profile_errors() states
+ * the same as there of R, its multiples, ln R, slope, cdf and TRANSFER; none if r_mm is beyond the reach. */
+core_radii_range core_errors_alike(const core_profile *profile, double r_mm);
+
 /* Returns errors that are all NAN, which means not known. */
 core_model_errors core_model_errors_unknown(void);
 

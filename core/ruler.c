@@ -82,9 +82,13 @@ void core_model_errors_at(const core_profile *profile, const core_profile *trans
       }
     }
   }
+  core_stated_errors of_truth = {0};
+  core_radii_range alike = {1, 0}; /* the radii at which these errors hold */
   for (size_t i = 0; i < n; i++) {
-    const core_stated_errors of_truth =
-        core_profile_errors(transport, wanted & COMPARED, (core_radii_range){r[i], r[i]});
+    if (!(r[i] >= alike.least_mm && r[i] <= alike.most_mm)) {
+      of_truth = core_profile_errors(transport, wanted & COMPARED, (core_radii_range){r[i], r[i]});
+      alike = core_errors_alike(transport, r[i]);
+    }
     const double numerical = of_truth.numerical + of_truth.numerical_per_mm * r[i];
     error[i] += (1 + error[i]) * numerical;
   }

@@ -187,6 +187,30 @@ UNIT_TEST(it_is_known_where_transport_is) {
   core_profile_free(&ruler);
 }
 
+/* Errors of a list are those of its radii alone, up or down: at the source, in all bands, and beyond the
+ * radii that transport knows. */
+UNIT_TEST(errors_of_a_list_are_those_of_its_radii) {
+  enum { N = CORE_RULER_RADII };
+  const unsigned wanted = CORE_QUANTITY_R | CORE_QUANTITY_CDF | CORE_QUANTITY_LN_R;
+  const core_medium medium = medium_of(0.1, 0.5, 1.4);
+  core_profile better = prepared(CORE_MODEL_BETTER, CORE_EVALUATOR_F64, medium);
+  core_profile ruler = ruler_of(medium);
+  for (unsigned bits = CORE_QUANTITY_R; bits != 0; bits = bits == wanted ? 0 : wanted) {
+    double r[N], error[N], alone;
+    for (int i = 0; i < N; i++) {
+      const double ln_r = 0.1 * (i - N / 2);
+      r[i] = i % 32 == 31 ? 0 : exp(bits == wanted ? ln_r : -ln_r);
+    }
+    core_model_errors_at(&better, &ruler, bits, N, r, error);
+    for (int i = 0; i < N; i++) {
+      core_model_errors_at(&better, &ruler, bits, 1, &r[i], &alone);
+      assert_true(alone == error[i] || (isnan(alone) && isnan(error[i])));
+    }
+  }
+  core_profile_free(&better);
+  core_profile_free(&ruler);
+}
+
 /* ---- phase functions of which gamma is known ------------------------------------------------- */
 
 static core_profile prepared_with_gamma(core_medium medium, double gamma) {
