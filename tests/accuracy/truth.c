@@ -845,8 +845,8 @@ static void prepare(struct subject *s, enum evaluator e, double tolerance) {
                                      evaluator_ids[e], &s->medium, &parameters)
                     .field == NULL;
   if (s->ready[e] && models[s->model] == CORE_MODEL_TRANSPORT) {
-    /* The table's error for g other than 0 is common to all evaluators, and check_scattering()
-     * looks for it. What is left is each evaluator's own. */
+    /* The table's error for g other than 0 is common to all evaluators: test_transport_g.c looks for
+     * it. What is left is each evaluator's own. */
     core_added_errors added;
     core_transport_added_errors(&s->medium, &added);
     s->profiles[e].numerical_error -= added.all;
