@@ -787,6 +787,9 @@ static int run_fit(const cli_settings *settings, dipole_client *client) {
                                .left = 2,
                                .foot = write_layers_foot};
     cli_write(&output, settings->form, &of);
+    for (size_t i = 0; i < of.sample_count; i++) {
+      dipole_layers_fit_free(of.stacks[i]);
+    }
     return judge(&of);
   }
   status = status == CLI_OK ? complete_samples(&of) : status;

@@ -540,18 +540,21 @@ static int fit_images(report *of, dipole_client *client) {
   dipole_tissue_fit_query query;
   of->samples->name = cli_copy("images", sizeof "images" - 1);
   cli_image *images = cli_allocate(of->sheet.count, sizeof *images);
-  if (!arrange(of, of->samples, &query) || !read_images(of, images)) {
-    return CLI_FAILED;
+  int status = arrange(of, of->samples, &query) && read_images(of, images)
+                   ? fit_rows(of, client, images, &query)
+                   : CLI_FAILED;
+  status = status == CLI_OK && !write_maps(of) ? CLI_FAILED : status;
+  if (status == CLI_OK) {
+    const cli_report output = {
+        .facts = put_facts, .rows = rows_of_sample(of), .put_row = put_map, .left = 1};
+    cli_write(&output, of->settings->form, of);
   }
-  const int status = fit_rows(of, client, images, &query);
-  if (status != CLI_OK || !write_maps(of)) {
-    return status != CLI_OK ? status : CLI_FAILED;
+  dipole_tissue_fits_free(of->samples->fits);
+  for (size_t i = 0; i < of->sheet.count; i++) {
+    free(images[i].values);
   }
-  const cli_report output = {
-      .facts = put_facts, .rows = rows_of_sample(of), .put_row = put_map, .left = 1};
-  cli_write(&output, of->settings->form, of);
-  return of->maps->bad == 0
-             ? CLI_OK
+  return status != CLI_OK || of->maps->bad == 0
+             ? status
              : cli_say(
                    CLI_BAD_ROWS,
                    "%s: %zu of %zu pixels were not fitted whole: what is not fitted is NaN; the "
@@ -597,6 +600,7 @@ int cli_fit_tissue_run(const cli_settings *settings, dipole_client *client) {
         reported++ < CLI_FIT_REPORTED_MAX) {
       cli_fit_report_reading(one->name, of.sheet.lines[one->all[set->index].row], set->field == 2);
     }
+    dipole_tissue_fits_free(one->fits);
   }
   if (bad == 0) {
     return CLI_OK;

@@ -236,6 +236,9 @@ model,channel,sigma_a,sigma_s,g,eta,r,dR_dr,ln_R,pdf,numerical_error,model_error
 better,1,0.1,1,0,1.3,0.5,-0.03574352,-3.460211,0.37935886,2.0503997802734374e-6,0.7265671832834677,2.0503997802734374e-6,0.7265671832834677,1.6927719116210937e-6,0.31666616181030577,1.6927719116210937e-6,0.4450894868699966,f32,
 better,1,0.1,1,0,1.3,2,-0.0053738784,-5.331896,0.23347904,2.837181091308594e-6,0.7265671832834677,2.837181091308594e-6,0.7265671832834677,2.47955322265625e-6,0.31666616181030577,2.47955322265625e-6,0.4450894868699966,f32,
 
+$ dipole eval --sigma-a 0.1 --sigma-s 1 --model better --r 0.5 --wanted R,model_errors --errors --format csv | head -1
+model,channel,sigma_a,sigma_s,g,eta,r,R,model_errors,numerical_error,model_error,evaluator,notes
+
 ## Tolerances in place of a model.
 $ dipole eval --medium skin1 --tolerance 0.01 --r 1,2
 skin1, moments exact, tolerance 0.01, R in 1/mm^2 per unit of power that entered

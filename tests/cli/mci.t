@@ -42,6 +42,10 @@ $ sed 's/ .75 .1//' two.mci > short.mci; dipole eval --mci short.mci
 ! dipole eval: short.mci:11: '1 2 18 ': expected n, mua, mus, g and d of a layer, in cm
 ? 1
 
+$ sed 's/^1 2 18 .75 .1/& 9/' two.mci > more.mci; dipole eval --mci more.mci
+! dipole eval: more.mci:11: '1 2 18 .75 .1 9 ': expected n, mua, mus, g and d of a layer, in cm
+? 1
+
 $ sed 's/^10 2 1/10 2e9 1/' two.mci > long.mci; dipole eval --mci long.mci
 ! dipole eval: long.mci:10: give a dr above 0, and 1 to 1e5 of them
 ? 1

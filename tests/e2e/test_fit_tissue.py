@@ -46,6 +46,10 @@ def test_a_tissue_comes_back_with_its_saturation(daemon):
         assert [each["value"] for each in reply["estimates"]] == [e["value"] for e in alone.estimates.values()]
         assert reply["sets"][0]["saturation"] == alone.sets["saturation"] and reply["haemoglobin"] == "prahl"
         assert (reply["g"], reply["eta"]) == (0.9, 1.4)
+        for low, high in ((0, 1.01), (0.5, 0.5), (0.6, 0.5)):
+            wrong = post(one, "/v1/fit_tissue", sought=[{"property": "water_fraction", "low": low, "high": high}],
+                         wavelength=NM, at=AT_MM, **lists)  # fmt: skip
+            assert wrong.status == 400 and wrong.json["field"] == "high", wrong.text
 
 
 def test_amplitudes_and_phases_are_fitted_without_their_scale(daemon):

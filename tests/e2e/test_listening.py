@@ -146,6 +146,9 @@ def test_all_addresses_of_both_kinds(daemon, turned):
     for host in ("[::1]", "127.0.0.1"):
         with dipole.Connection(f"tcp:{host}:{port}") as connection:
             assert_serves(connection)
+    assert finished(BUILD / "dipole", "media", "--connect", f"tcp:localhost:{port}").returncode == 0
+    with dipole.Client(one.url("tcp")) as client:  # the command took one of two addresses
+        assert client.statistics()["connections_accepted"] == 4
 
 
 @pytest.mark.parametrize(
@@ -231,6 +234,9 @@ def test_a_client_that_is_not_allowed_does_not_try_again(daemon):
 # ---- an inherited connection ---------------------------------------------------------------------
 
 
+SERVES_OTHERS = ["LISTEN", "MODBUS", "HTTP", "METRICS", "SCPI"]
+
+
 def start_with_fd(one: socket.socket, *options: str) -> subprocess.Popen[str]:
     """Starts a dipoled that serves a socket of this process."""
     return subprocess.Popen(
@@ -238,7 +244,7 @@ def start_with_fd(one: socket.socket, *options: str) -> subprocess.Popen[str]:
         pass_fds=[one.fileno()],
         stdin=subprocess.DEVNULL,
         stderr=subprocess.PIPE,
-        env=environment(DIPOLED_HTTP="no address, which it ignores"),
+        env=environment(**{f"DIPOLED_{name}": "no address, which it ignores" for name in SERVES_OTHERS}),
         text=True,
     )
 

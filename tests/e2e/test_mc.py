@@ -93,7 +93,7 @@ def test_progress_is_numbered_and_grows(client):
     assert photons == sorted(photons) and photons[-1] <= result.photons
     assert result.state == "cancelled"
     assert all(one.photons_expected >= one.photons for one in seen)
-    assert all(one.worst_ring_mm[1] <= 5.0 for one in seen)
+    assert all(one.worst_ring_mm[1] <= 5.0 and one.error_total > 0 < one.error_rings for one in seen)
     assert client.ping() >= 0
 
 

@@ -185,6 +185,7 @@ def test_wrong_checksums_and_what_is_unfinished(start):
     master, one = start()
     good = master.frame(7, READ_ONE)
     with Tcp(one) as tcp:
+        assert master.read(0, 1, 7) == b"\0\0" and tcp.statistic("modbus_bad_frames") == 0
         wrong = [good[:-1] + bytes([good[-1] ^ 1]), good[:-3], b"\x07", bytes(300), b"\xff" * 3000]
         for number, data in enumerate(wrong, 1):
             master.send(data)

@@ -41,6 +41,8 @@ def test_result_of_a_grid(client):
     assert result.R.dtype == result.r.dtype == np.float32
     np.testing.assert_array_equal(result.r, [0, 0.25, 0.5, 0.75, 1])
     assert result.R.shape == (1, 5)
+    one, same = (client.eval("transport", THREE[0], **how) for how in ({"grid": Grid(0.5, 9.0, 1)}, {"r": [0.5]}))
+    assert one.R == same.R and (one.model_error, one.numerical_error()) == (same.model_error, same.numerical_error())
     without = client.eval("classical", THREE[0], grid=Grid(0.0, 1.0, 5), wanted=["cdf"])
     assert not hasattr(without, "r") and not hasattr(without, "R") and without.cdf.shape == (1, 5)
 

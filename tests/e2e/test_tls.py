@@ -22,6 +22,7 @@ from beside import Beside
 from certificates import FLOODS, Authority, Recorder, openssl
 from daemons import BUILD, PROGRAM, environment, eventually, finished, run, sanitized
 from dipole import wire
+from dipole.exchange import is_temporary
 from frames import PING, SKIN, assert_error, assert_serves, frame
 from messages import ROLES, SAMPLES, receive_answer, refusal
 
@@ -164,8 +165,9 @@ def test_clients_that_are_not_believed(farm, authority, ours, tmp_path, who):
         other = Authority(tmp_path, "alone")
         files["certificate"], files["key"] = str(other.pem), str(tmp_path / "alone.key")
     refusal = "requires a certificate" if who == "none" else "refuses this client's certificate"
-    with pytest.raises(dipole.ConnectionLost, match=refusal):
+    with pytest.raises(dipole.ConnectionLost, match=refusal) as caught:
         dipole.Client(farm.url("tls"), **files)
+    assert caught.value.final and not is_temporary(caught.value)
     assert refusal in media(farm.url("tls"), files)
     assert farm.has_line("event=tls-refused peer=127.0.0.1")
     with dipole.Client(farm.url("tls"), **ours) as client:
