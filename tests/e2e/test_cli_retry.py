@@ -1,10 +1,11 @@
 """`dipole --connect` with several addresses, and `--retry-ms`: daemons that start late, are lost,
 or stay busy."""
 
+import re
 import threading
 
 import pytest
-from command_line import FAILED, Proxy, Terminal, busy, dipole, eval_rows
+from command_line import FAILED, TIMEOUT_S, Proxy, Terminal, busy, dipole, eval_rows
 from daemons import Daemon
 
 ARGUMENTS = ("--sigma-a", "0.03", "--sigma-s", "1", "--r", "0.5,1,2")
@@ -58,3 +59,16 @@ def test_busy_for_a_limited_time(daemon, command):
         assert "busy" in run.stderr
         counts.append(len(asked))
     assert counts[0] == 1 and counts[1] > 1
+
+
+def test_a_person_is_told_how_long_a_reply_takes(daemon):
+    held = threading.Event()
+
+    def hold(number: int, request_id: int) -> None:
+        held.wait(TIMEOUT_S)
+
+    with Proxy(daemon().url(), hold) as proxy:
+        terminal = Terminal("eval", "--connect", proxy.url, *ARGUMENTS, on=(2,))
+        terminal.read_until(lambda seen: re.search("waiting for the daemon: +2 s", seen))
+        held.set()
+        assert terminal.end()[0] == 0 and terminal.seen.endswith("\r\033[K")

@@ -14,10 +14,13 @@ import urllib.parse
 import urllib.request
 from pathlib import Path
 
+import dipole
 import pytest
 from daemons import BUILD, REPOSITORY, eventually, finished, read_log_line, run
 from frames import EVAL, SKIN, R, ask, assert_serves, eval_payload
 from lists import MODELS
+from modbus_master import AT, Tcp, exception
+from test_scpi import ENDLESS, SCPI, Raw
 
 TIMEOUT_S = 10
 
@@ -210,6 +213,32 @@ def test_overload_makes_the_daemon_unready_for_a_second(daemon):
             assert health(port, "/healthz") == (200, "ok")
         for port in ports:
             assert eventually(lambda: health(port, "/readyz") == (200, "ok"))
+
+
+@pytest.mark.parametrize("way", ["binary", "modbus", "scpi"])
+def test_a_busy_reply_counts_whatever_way_it_takes(daemon, way):
+    one = daemon("--metrics", "127.0.0.1:0", "--modbus", "tcp:127.0.0.1:0", *SCPI, "--max-mc-jobs", "1")
+    asked = []
+    with dipole.Client(one.url(), retry_s=0) as client, Raw(one) as first, Raw(one) as scpi, Tcp(one) as master:
+        first.send(ENDLESS)
+        assert eventually(lambda: client.statistics()["mc_jobs_open"] == 1)
+
+        def is_unready() -> bool:
+            asked.append(way)
+            if way == "binary":
+                with pytest.raises(dipole.Refused, match="busy"):
+                    client.mc(dipole.Medium(0.1, 1), dipole.Grid(0, 5, 6), photons=100)
+            elif way == "scpi":
+                assert "max_mc_jobs" in scpi.error("MED 0.1,1,0,1.3;:MC:PHOT 100;RINGs 0,5,5;STARt;*WAI")
+            else:
+                with exception(6):
+                    master.write_one(AT["MC_COMMIT"], 7)
+            return health(health_ports(one)[0], "/readyz") == (503, "overloaded")
+
+        assert eventually(is_unready)
+        after = client.statistics()
+        assert after["modbus_exceptions" if way == "modbus" else "replies_busy"] == len(asked)
+        assert after["latency_refused_count"] == len(asked)
 
 
 PTRACE_ATTACH, PTRACE_DETACH, WAIT_ALL = 16, 17, 0x40000000

@@ -98,6 +98,20 @@ UNIT_TEST(headers_are_checked) {
   }
 }
 
+UNIT_TEST(what_comes_in_place_of_the_magic_is_named) {
+  static const char *const rows[][2] = {
+      {"PROXY TCP4", "PROXY"}, {"\r\n\r\n", "PROXY"}, {"\x16\3\1\2", "TLS"}, {"\x15\3\3\2", "TLS"},
+      {"GET /", "HTTP"},       {"POST /", "HTTP"},    {"HTTP/1.1", "HTTP"},  {"SSH-2.0", ""}};
+  for (size_t i = 0; i < sizeof rows / sizeof rows[0]; i++) {
+    wire_header header = {.version = WIRE_VERSION};
+    memcpy(&header.magic, rows[i][0], sizeof header.magic);
+    const wire_error error = wire_header_check(&header, 64);
+    assert_non_null(strstr(error.allowed, rows[i][1]));
+    assert_int_equal(strlen(error.allowed) > strlen("0x4c504944, the bytes D I P L"),
+                     rows[i][1][0] != '\0');
+  }
+}
+
 UNIT_TEST(the_magic_reads_as_text) {
   uint8_t bytes[WIRE_BYTES_header];
   wire_put_header(bytes, &good_header);
