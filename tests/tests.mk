@@ -67,7 +67,7 @@ $(BUILD)/prometheus:
 	check-fuzz-long check-truth check-truth-long check-fits check-varying check-rings rings soak truth \
 	fuzz fuzz-merge bench
 
-check-programs: $(TESTS) $(addprefix $(BUILD)/,dipoled-counting wire-lists soak-load tests/bits tests/accuracy/truth transport-table apertures)
+check-programs: $(filter-out %/fuzz,$(PROGRAMS)) $(BUILD)/wire-lists ## every program compiles, but for the fuzzer
 
 # What .ci/run runs after `make check`, and what else takes long. `make check-PART` runs one of them.
 CI_PARTS := bits-aarch64 pipeline soak-long services+fuzz packages deb
@@ -93,7 +93,7 @@ check-unit: $(TESTS) ## tests in C
 	@UNIT_LIMIT_S=$(UNIT_LIMIT_S) bash tests/run-units.sh $(BUILD)/logs $(TESTS)
 
 # Those that have a long form.
-LONG_TESTS := $(addprefix $(BUILD)/tests/,unit/test_kernels unit/test_inverter accuracy/test_anisotropic accuracy/test_derivative accuracy/test_fit_layers accuracy/test_layers accuracy/test_lut accuracy/test_models accuracy/test_montecarlo accuracy/test_transport_g accuracy/test_transport_solved accuracy/test_transport_table)
+LONG_TESTS := $(patsubst tests/%.c,$(BUILD)/tests/%,$(shell grep -l unit_is_long tests/*/test_*.c))
 check-units-long: $(LONG_TESTS)
 	@UNIT_LONG=yes bash tests/run-units.sh $(BUILD)/logs-nightly $(LONG_TESTS)
 

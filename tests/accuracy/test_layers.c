@@ -162,7 +162,9 @@ UNIT_TEST(weak_layers_below_a_strong_one) {
 /* van de Hulst 1980: albedo 0.9, depth 2, g 0.75, equal indices. */
 UNIT_TEST(a_slab_is_that_of_van_de_hulst) {
   static const solver_layer slab = {0.2, 1.8, 0.75, 1, 1};
-  solver_layers *solution = solved(&slab, 1, 1);
+  solver_layers *solution; /* energies are exact on any grid */
+  unit_assert_fault(
+      solver_layers_solve_level(&solution, core_isa_select(NULL), &slab, 1, 1, 0, NULL), NULL, 0);
   const solver_balance balance = balance_of(solution);
   assert_true(fabs(balance.out[0].value - 0.09739) < 1e-5);
   assert_true(fabs(balance.out[1].value + balance.unscattered[1] - 0.66096) < 1e-5);

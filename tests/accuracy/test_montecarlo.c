@@ -183,8 +183,8 @@ UNIT_TEST(layers_are_walked_as_they_are_solved) {
     core_medium layer[2];
   } stacks[] = {
       {2, 1, {{2, 40, 0.9, 1.4, 0.06}, {0.05, 20, 0.85, 1.4, 0}}},
-      {2, 1.5, {{5, 5, 0.5, 1.5, 0.05}, {0.1, 15, -0.4, 1.33, 0.6}}},
-      {1, 0.75, {{0.1, 3, 0.8, 1.3, 1}}},
+      {2, 1.5, {{2, 12, 0.5, 1.5, 0.1}, {0.1, 15, -0.4, 1.33, 0.6}}},
+      {1, 0.75, {{0.1, 3, 0.8, 1.3, 2}}},
   };
   const core_isa *isa = core_isa_select(NULL);
   const double tolerance = unit_is_long() ? 1e-3 : 0.1;

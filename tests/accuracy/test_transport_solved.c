@@ -87,7 +87,7 @@ UNIT_TEST(isotropic_media_are_as_the_independent_solver_has_them) {
 }
 
 UNIT_TEST(anisotropic_media_are_as_finer_grids_have_them) {
-  static const double media[][3] = {{200, 0.9, 2}, {0.05, 0.97, 1.4}, {1, -0.9, 0.5}, {0, 0.99, 3}};
+  static const double media[][3] = {{1, -0.6, 0.5}, {200, 0.9, 2}, {0.05, 0.97, 1.4}, {0, 0.99, 3}};
   const size_t count = unit_is_long() ? 4 : 1;
   for (size_t i = 0; i < count; i++) {
     const double ratio = media[i][0], g = media[i][1], eta = media[i][2];
@@ -95,7 +95,7 @@ UNIT_TEST(anisotropic_media_are_as_finer_grids_have_them) {
     solver_solution *truth;
     const solver_phase phase = {.g = g};
     unit_assert_fault(solver_solve(&truth, core_isa_select(NULL), ratio, &phase, &eta, 1,
-                                   unit_is_long() ? 1e-4 : 1e-3),
+                                   unit_is_long() ? 1e-4 : 3e-3),
                       NULL, 0);
     double worst = 0;
     for (double x = 1e-5; x < profile.reach.most_mm; x *= 1.7) {
