@@ -28,9 +28,10 @@ class Restarted:
         self._late: threading.Timer | None = None
         self.url = self._daemon.urls[0]  # This address has the actual port.
 
-    def kill(self) -> None:
-        """Kills the daemon, and starts another."""
-        self._daemon.kill()
+    def end(self, how: str | None = None) -> None:
+        """Kills the daemon, or closes it and checks its end, by its transport unless `how` says which;
+        starts another."""
+        getattr(self._daemon, how or ("kill" if self.url.startswith("unix:") else "close"))()
         self._daemon = Daemon(*self._options, listen=[self.url])
 
     def pause_and_come_back(self) -> None:
@@ -40,11 +41,6 @@ class Restarted:
         self._late.start()
 
     def _begin(self) -> None:
-        self._daemon = Daemon(*self._options, listen=[self.url])
-
-    def stop(self) -> None:
-        """Stops the daemon, checks its end, and starts another."""
-        self._daemon.close()
         self._daemon = Daemon(*self._options, listen=[self.url])
 
     def close(self) -> None:
@@ -112,8 +108,7 @@ class Asking(threading.Thread):
             self.answered += 1
 
 
-@pytest.mark.parametrize("how", ["kill", "stop"])
-def test_python_clients_outlive_their_daemon(restarted, how):
+def test_python_clients_outlive_their_daemon(restarted):
     with dipole.Client(restarted.url) as client:
         known = [result_bytes(client.eval(**question)) for question in QUESTIONS]
     threads = [Asking(restarted.url, known) for _ in range(2)]
@@ -121,7 +116,7 @@ def test_python_clients_outlive_their_daemon(restarted, how):
         thread.start()
     for _ in range(RESTARTS):
         before = [thread.answered for thread in threads]
-        getattr(restarted, how)()
+        restarted.end()
         assert eventually(
             lambda: all(t.failure or t.answered > b + 40 for t, b in zip(threads, before)), 60
         )
@@ -133,8 +128,7 @@ def test_python_clients_outlive_their_daemon(restarted, how):
             raise thread.failure
 
 
-@pytest.mark.parametrize("how", ["kill", "stop"])
-def test_libdipole_outlives_its_daemon(restarted, how):
+def test_libdipole_outlives_its_daemon(restarted):
     """A libdipole client outlives its daemon. soak-load compares each answer with that of the first
     daemon."""
     loads = [SoakLoad(restarted.url, seed) for seed in (1, 2)]
@@ -142,7 +136,7 @@ def test_libdipole_outlives_its_daemon(restarted, how):
         for _ in range(RESTARTS):
             for load in loads:
                 load.goes_on()
-            getattr(restarted, how)()
+            restarted.end()
         for load in loads:
             load.end()
     finally:
@@ -195,15 +189,14 @@ both_run = pytest.mark.parametrize("restarted, run", [("unix", job_once), ("tcp"
 
 
 @both_run
-@pytest.mark.parametrize("how", ["kill", "stop"])
-def test_a_job_is_begun_again(restarted, run, how):
+def test_a_job_is_begun_again(restarted, run):
     """Twice in the middle of a job its daemon ends; the job ends with the same bits."""
     reports: list[int] = []
 
     def end(report: dipole.McProgress) -> None:
         reports.append(report.photons)
         if len(reports) < 3:
-            getattr(restarted, how)()
+            restarted.end()
 
     assert job_bytes(run(restarted.url, end, retry_s=RETRY_S)) == known_job()
     assert len(reports) > 2
@@ -212,7 +205,7 @@ def test_a_job_is_begun_again(restarted, run, how):
 @both_run
 def test_a_cancelled_job_is_not_begun_again(restarted, run):
     def end(_: dipole.McProgress) -> bool:
-        restarted.kill()
+        restarted.end("kill")
         return False
 
     with pytest.raises(dipole.ConnectionLost):
@@ -222,7 +215,7 @@ def test_a_cancelled_job_is_not_begun_again(restarted, run):
 @both_run
 def test_a_job_is_cut_off_where_no_retries_are_wanted(restarted, run):
     def end(_: dipole.McProgress) -> None:
-        restarted.stop()
+        restarted.end("close")
 
     result = run(restarted.url, end, retry_s=0)
     assert result.state == "stopped" and 0 < result.photons < JOB["photons"]
@@ -235,7 +228,7 @@ def test_parts_are_not_handed_on_twice(restarted):
         with client.eval_parts(**question) as parts:
             first = next(parts)
             assert (first.R == whole.R[:, : first.R.shape[1]]).all()
-            restarted.kill()
+            restarted.end("kill")
             read = first.R.shape[1]
             with pytest.raises(dipole.ConnectionLost):
                 for part in parts:
@@ -246,7 +239,7 @@ def test_parts_are_not_handed_on_twice(restarted):
 def test_no_retries_where_none_are_wanted(restarted):
     with dipole.Client(restarted.url, retry_s=0) as client:
         client.ping()
-        restarted.kill()
+        restarted.end("kill")
         for _ in range(2):
             with pytest.raises(dipole.ConnectionLost):
                 client.ping()
