@@ -40,17 +40,10 @@ static dense within(const dense *of, size_t row, size_t column, size_t rows, siz
 /* Adds sign * a b to `to`. Rows of b and `to` are padded to a multiple of GROUP. */
 static void add_dense(const dense *to, const dense *a, const dense *b, double sign) {
   const dense_loops *of = solver_dense_loops_of[to->isa->index];
-  const dense_part to_re = {to->re, to->stride}, to_im = {to->im, to->stride};
-  const dense_part a_re = {a->re, a->stride}, a_im = {a->im, a->stride};
-  const dense_part b_re = {b->re, b->stride}, b_im = {b->im, b->stride};
-  const size_t rows = to->rows, inner = a->columns;
-  const size_t columns = padded(to->columns);
-  of->add_product(to_re, a_re, b_re, rows, inner, columns, sign);
-  if (to->im != NULL) {
-    of->add_product(to_re, a_im, b_im, rows, inner, columns, -sign);
-    of->add_product(to_im, a_re, b_im, rows, inner, columns, sign);
-    of->add_product(to_im, a_im, b_re, rows, inner, columns, sign);
-  }
+  const dense_part to_part[2] = {{to->re, to->stride}, {to->im, to->stride}};
+  const dense_part a_part[2] = {{a->re, a->stride}, {a->im, a->stride}};
+  const dense_part b_part[2] = {{b->re, b->stride}, {b->im, b->stride}};
+  of->add_product(to_part, a_part, b_part, to->rows, a->columns, padded(to->columns), sign);
 }
 
 void solver_dense_clear(const dense *of) {

@@ -80,9 +80,10 @@ typedef struct dense_part {
 
 typedef struct dense_loops {
   /* Adds sign times a b to `to`. a: rows by inner numbers. b: inner by columns numbers. columns: a
-   * multiple of 8. b and `to`: 16-byte aligned. */
-  void (*add_product)(dense_part to, dense_part a, dense_part b, size_t rows, size_t inner,
-                      size_t columns, double sign);
+   * multiple of 8. b and `to`: 16-byte aligned. [1]: imaginary parts, with a NULL of `to` if numbers
+   * are real. */
+  void (*add_product)(const dense_part to[2], const dense_part a[2], const dense_part b[2],
+                      size_t rows, size_t inner, size_t columns, double sign);
   /* Sets to = x a + y b. numbers: a multiple of 8. */
   void (*combine)(double *to, double x, const double *a, double y, const double *b, size_t numbers);
   /* Subtract factor times one row from another row: of real numbers, and of complex ones. */

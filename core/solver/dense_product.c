@@ -2,68 +2,134 @@
  * all: products and sums are rounded separately, and each sum has the same order. */
 #include "core/solver/dense.h"
 
-/* TILE_ROWS by TILE_LANES groups of LANES numbers are kept in registers. With at least eight
- * groups, latencies of sums overlap. */
+/* Tiles of so many rows by so many groups of LANES numbers are kept in registers, of complex numbers
+ * three times. With at least eight groups, latencies of sums overlap. */
 #if defined __AVX512F__
-enum { LANES = 8, TILE_ROWS = 8, TILE_LANES = 2 };
+enum { LANES = 8, REAL_ROWS = 8, REAL_GROUPS = 2, COMPLEX_ROWS = 4, COMPLEX_GROUPS = 2 };
 #elif defined __AVX__
-enum { LANES = 4, TILE_ROWS = 4, TILE_LANES = 2 };
+enum { LANES = 4, REAL_ROWS = 4, REAL_GROUPS = 2, COMPLEX_ROWS = 4, COMPLEX_GROUPS = 1 };
 #else
-enum { LANES = 2, TILE_ROWS = 4, TILE_LANES = 2 };
+enum { LANES = 2, REAL_ROWS = 4, REAL_GROUPS = 2, COMPLEX_ROWS = 4, COMPLEX_GROUPS = 1 };
 #endif
 typedef double lanes __attribute__((vector_size(LANES * sizeof(double)), aligned(16), may_alias));
 
-/* Adds sign * a b to `to` for at most TILE_ROWS rows and a few groups of columns. */
-static inline __attribute__((always_inline)) void add_tile(dense_part to, dense_part a,
-                                                           dense_part b, size_t rows, size_t groups,
-                                                           size_t inner, double sign) {
-  lanes sum[TILE_ROWS][TILE_LANES] = {0};
+/* A product of complex numbers is three real ones, of the real parts, of the imaginary parts, and of
+ * the sums of both, which are kept for blocks of so many rows and columns of the right factor. */
+enum { PARTS = 3, ROWS_MAX = 8, INNER = 64, COLUMNS = 64 };
+
+/* Each function adds sign * a b to `to`, and is made for constant `parts`: 1 for real numbers, else
+ * PARTS. A tile is one of `rows` rows and a few groups of columns. */
+#define INLINE static inline __attribute__((always_inline))
+
+INLINE void add_tile(const dense_part *to, const dense_part *a, const dense_part *b, size_t parts,
+                     size_t rows, size_t groups, size_t inner, double sign) {
+  lanes sum[PARTS][ROWS_MAX][2] = {0};
   for (size_t i = 0; i < inner; i++) {
-    const lanes *right = (const lanes *)(b.at + i * b.stride);
 #pragma GCC unroll 8
-    for (size_t row = 0; row < rows; row++) {
+    for (size_t part = 0; part < parts; part++) {
+      const lanes *right = (const lanes *)(b[part].at + i * b[part].stride);
 #pragma GCC unroll 8
-      for (size_t group = 0; group < groups; group++) {
-        sum[row][group] += a.at[row * a.stride + i] * right[group];
+      for (size_t row = 0; row < rows; row++) {
+#pragma GCC unroll 8
+        for (size_t group = 0; group < groups; group++) {
+          sum[part][row][group] += a[part].at[row * a[part].stride + i] * right[group];
+        }
       }
     }
   }
 #pragma GCC unroll 8
   for (size_t row = 0; row < rows; row++) {
-    lanes *here = (lanes *)(to.at + row * to.stride);
 #pragma GCC unroll 8
     for (size_t group = 0; group < groups; group++) {
-      here[group] += sign * sum[row][group];
+      const lanes one = sum[0][row][group];
+      lanes *re = (lanes *)(to[0].at + row * to[0].stride) + group;
+      if (parts == 1) {
+        *re += sign * one;
+      } else {
+        const lanes two = sum[1][row][group];
+        lanes *im = (lanes *)(to[1].at + row * to[1].stride) + group;
+        *re += sign * (one - two);
+        *im += sign * (sum[2][row][group] - one - two);
+      }
     }
   }
 }
 
-static inline __attribute__((always_inline)) void add_rows(dense_part to, dense_part a,
-                                                           dense_part b, size_t rows, size_t inner,
-                                                           size_t columns, double sign) {
-  size_t column = 0;
-  for (; column + TILE_LANES * LANES <= columns; column += TILE_LANES * LANES) {
-    add_tile((dense_part){to.at + column, to.stride}, a, (dense_part){b.at + column, b.stride},
-             rows, TILE_LANES, inner, sign);
-  }
-  for (; column < columns; column += LANES) {
-    add_tile((dense_part){to.at + column, to.stride}, a, (dense_part){b.at + column, b.stride},
-             rows, 1, inner, sign);
+INLINE void shift(dense_part *to, const dense_part *of, size_t parts, size_t row, size_t column) {
+  for (size_t part = 0; part < parts; part++) {
+    to[part] = (dense_part){of[part].at + row * of[part].stride + column, of[part].stride};
   }
 }
 
-static void add_product(dense_part to, dense_part a, dense_part b, size_t rows, size_t inner,
-                        size_t columns, double sign) {
-  size_t row = 0;
-  for (; row + TILE_ROWS <= rows; row += TILE_ROWS) {
-    const dense_part to_rows = {to.at + row * to.stride, to.stride};
-    const dense_part a_rows = {a.at + row * a.stride, a.stride};
-    add_rows(to_rows, a_rows, b, TILE_ROWS, inner, columns, sign);
+INLINE void add_rows(const dense_part *to, const dense_part *a, const dense_part *b, size_t parts,
+                     size_t rows, size_t groups, size_t inner, size_t columns, double sign) {
+  for (size_t column = 0; column < columns; column += groups * LANES) {
+    dense_part to_here[2], b_here[PARTS];
+    shift(to_here, to, parts == 1 ? 1 : 2, 0, column);
+    shift(b_here, b, parts, 0, column);
+    if (columns - column >= groups * LANES) {
+      add_tile(to_here, a, b_here, parts, rows, groups, inner, sign);
+    } else {
+      add_tile(to_here, a, b_here, parts, rows, 1, inner, sign);
+    }
   }
-  for (; row < rows; row++) {
-    const dense_part to_row = {to.at + row * to.stride, to.stride};
-    const dense_part a_row = {a.at + row * a.stride, a.stride};
-    add_rows(to_row, a_row, b, 1, inner, columns, sign);
+}
+
+/* Sets *to to the sum of both parts. */
+INLINE void add_parts(dense_part to, const dense_part *of, size_t rows, size_t columns) {
+  for (size_t row = 0; row < rows; row++) {
+    for (size_t i = 0; i < columns; i++) {
+      to.at[row * to.stride + i] =
+          of[0].at[row * of[0].stride + i] + of[1].at[row * of[1].stride + i];
+    }
+  }
+}
+
+/* Adds what a block of b contributes. */
+INLINE void add_block(const dense_part *to, const dense_part *a, const dense_part *b, size_t parts,
+                      size_t tile_rows, size_t groups, size_t rows, size_t inner, size_t columns,
+                      double sign) {
+  double left[ROWS_MAX * INNER], right[INNER * COLUMNS] __attribute__((aligned(64)));
+  const size_t given = parts == 1 ? 1 : 2;
+  dense_part to_here[2], a_here[PARTS] = {[2] = {left, INNER}};
+  dense_part b_here[PARTS] = {b[0], b[given - 1], {right, COLUMNS}};
+  if (parts > 1) {
+    add_parts(b_here[2], b, inner, columns);
+  }
+  for (size_t row = 0; row < rows;) {
+    shift(to_here, to, given, row, 0);
+    shift(a_here, a, given, row, 0);
+    const bool whole = rows - row >= tile_rows;
+    if (parts > 1) {
+      add_parts(a_here[2], a_here, whole ? tile_rows : 1, inner);
+    }
+    if (whole) {
+      add_rows(to_here, a_here, b_here, parts, tile_rows, groups, inner, columns, sign);
+    } else {
+      add_rows(to_here, a_here, b_here, parts, 1, groups, inner, columns, sign);
+    }
+    row += whole ? tile_rows : 1;
+  }
+}
+
+static void add_product(const dense_part to[2], const dense_part a[2], const dense_part b[2],
+                        size_t rows, size_t inner, size_t columns, double sign) {
+  const size_t parts = to[1].at == NULL ? 1 : 2;
+  dense_part to_here[2], a_here[2], b_here[2];
+  for (size_t column = 0; column < columns; column += COLUMNS) {
+    const size_t wide = columns - column < COLUMNS ? columns - column : COLUMNS;
+    for (size_t i = 0; i < inner; i += INNER) {
+      const size_t deep = inner - i < INNER ? inner - i : INNER;
+      shift(to_here, to, parts, 0, column);
+      shift(a_here, a, parts, 0, i);
+      shift(b_here, b, parts, i, column);
+      if (parts == 1) {
+        add_block(to_here, a_here, b_here, 1, REAL_ROWS, REAL_GROUPS, rows, deep, wide, sign);
+      } else {
+        add_block(to_here, a_here, b_here, PARTS, COMPLEX_ROWS, COMPLEX_GROUPS, rows, deep, wide,
+                  sign);
+      }
+    }
   }
 }
 

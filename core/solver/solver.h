@@ -39,11 +39,11 @@ typedef struct solver_solution solver_solution;
  * to SOLVER_RADIUS_MOST as far as R has not decayed by e^-20, but at most four of them, and the
  * finest only if it promises to reach the tolerance or that is CORE_TOLERANCE_FINEST or less. What
  * holds is the error that is stated beside each value, which is larger than requested where |g| is
- * above 0.95 or g is below -0.5. One boundary and g up to 0.9 take some 0.2 s of a processor for a
- * tolerance of 1e-2, 0.6 to 2.5 s for 1e-3 and 9 s or more for 1e-4; the most that they take is 3,
- * 10 and 37 s. sigma_a_ratio: sigma_a / (sigma_s (1 - g)), 0 to 1000. etas: index inside over index
- * outside, TRANSPORT_ETA_MIN to TRANSPORT_ETA_MAX, 1 to SOLVER_ETAS_MAX of them. tolerance: not
- * negative, finite. Faults: `sigma_a_ratio`, `phase`, `eta`, `tolerance`, `memory`. On a fault
+ * above 0.95 or g is below -0.5. With AVX-512, one boundary and g up to 0.9 take some 0.1 s of a
+ * processor for a tolerance of 1e-2, 0.3 to 1 s for 1e-3 and 3.5 s or more for 1e-4; the most that
+ * they take is 1.2, 4 and 14 s. sigma_a_ratio: sigma_a / (sigma_s (1 - g)), 0 to 1000. etas: index
+ * inside over index outside, TRANSPORT_ETA_MIN to TRANSPORT_ETA_MAX, 1 to SOLVER_ETAS_MAX of them.
+ * tolerance: not negative, finite. Faults: `sigma_a_ratio`, `phase`, `eta`, `tolerance`, `memory`. On a fault
  * *solution is NULL. Otherwise the caller owns it and frees it with solver_free(), which accepts
  * NULL. */
 core_fault solver_solve(solver_solution **solution, const core_isa *isa, double sigma_a_ratio,
@@ -135,9 +135,9 @@ core_fault solver_layers_check(const solver_layer *layer, size_t count, double e
  * grids, at most four, are solved until two of them agree within the tolerance, relative, from 0.05
  * reduced mean free paths of the first layer on, or do not promise to. What holds is the error
  * beside each value: it is large for slabs thinner than half a mean free path at all radii, and for
- * T near the axis behind layers of many mean free paths. Two layers take some 0.7 s of a processor
- * for a tolerance of 1e-2 and 3.5 s for 1e-3, each layer more at most as much again. count: 1 to
- * SOLVER_LAYERS_MAX. eta_below: the index below a last layer of finite thickness over that above all,
+ * T near the axis behind layers of many mean free paths. With AVX-512, two layers of skin take some
+ * 0.25 s of a processor for a tolerance of 1e-2 and 1.3 s for 1e-3. count: 1 to SOLVER_LAYERS_MAX.
+ * eta_below: the index below a last layer of finite thickness over that above all,
  * in the range of eta. stop: NULL, or set by any thread. Faults: those of solver_layers_check(),
  * `tolerance`, `memory`, CORE_FIELD_STOPPED. On a fault *solution is NULL. Otherwise the caller owns
  * it and frees it with solver_layers_free(), which accepts NULL. */
