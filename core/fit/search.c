@@ -3,7 +3,8 @@
 #define CORE_REAL 64
 #include "core/kernel.h"
 
-enum { EVALUATIONS_MAX = 40 };
+/* Of a descent. Along a narrow valley it takes up to some 200. */
+enum { EVALUATIONS_MAX = 300 };
 
 /* How starts are chosen. In the grid each reading has the relative error `error` besides its own,
  * so that the valley of media that fit is wider than the grid's steps. The starts are the best
@@ -22,14 +23,15 @@ static const struct choosing usual = {0.3, false, 4, 3};
  * on sigma_a, a valley that ends at the bound is so flat that rounding of the model's table may
  * leave a minimum there. */
 static const struct choosing careful = {0.1, true, FIT_STARTS_MAX, 1e300};
+#define CAREFUL_REDUCED 3.0
 
-/* Readings that exceed the unknowns by at most FIT_SPARSE may also have a second solution so near to
- * the first that the starts of the grid lead to one of them alone. So a last round starts in eight
- * directions around the best, at these distances in both logarithms. */
+/* Readings with a free factor that exceed the unknowns by at most FIT_SPARSE, or others that do not
+ * exceed them, may also have a second solution so near to the first that the starts of the grid lead
+ * to one of them alone. So a last round starts in eight directions around the best, at these
+ * distances in both logarithms. */
 static const double distances[] = {0.15, 0.6, 2};
 enum { DIRECTIONS = FIT_STARTS_MAX * sizeof distances[0] / sizeof distances };
 _Static_assert(DIRECTIONS == 8, "all neighbours on a square grid");
-#define CAREFUL_REDUCED 3.0
 
 /* First the residuals are those of logarithms, which are less curved, until steps are shorter than
  * this. */
@@ -491,7 +493,8 @@ static void begin_start(core_fit_search *s) {
   if (s->next_start == s->start_count) {
     const bool again = s->round == 0
                            ? wants_care(s)
-                           : s->round == 1 && s->best.found && fit_spare(s->fit) <= FIT_SPARSE;
+                           : s->round == 1 && s->best.found &&
+                                 fit_spare(s->fit) <= (s->fit->free_factor ? FIT_SPARSE : 0);
     s->round++;
     s->stage = again ? FIT_BEGINS_ROUND : FIT_IS_DONE;
     return;
