@@ -554,9 +554,10 @@ bool core_table_has(enum core_quantity quantity);
 core_fault core_radii_check_f64(size_t n, const double *r, core_radii_range *range);
 core_fault core_radii_check_f32(size_t n, const float *r, core_radii_range *range);
 
-/* Returns the fault of the first radius outside a profile's range. No radius is NaN. */
-core_fault core_radii_range_check_f64(const core_radii_range *range, size_t n, const double *r);
-core_fault core_radii_range_check_f32(const core_radii_range *range, size_t n, const float *r);
+/* Returns the fault of the first radius outside a profile's range. No radius is NaN. r: [n], of type
+ * float if `single`, else double. */
+core_fault core_radii_range_check(const core_radii_range *range, size_t n, bool single,
+                                  const void *r);
 
 /* Radii by rule: `count` radii from start to stop, both included; count = 1 gives start alone.
  * linear:       start + i (stop - start) / (count - 1)
@@ -576,8 +577,8 @@ typedef struct core_grid {
  * radius_stop. */
 core_fault core_grid_check(const core_grid *grid);
 
-/* Writes the radii first, first + 1, ..., first + n - 1 of the grid to r[n]. */
-void core_grid_radii_f64(const core_grid *grid, uint64_t first, size_t n, double *r);
-void core_grid_radii_f32(const core_grid *grid, uint64_t first, size_t n, float *r);
+/* Writes the radii first, first + 1, ..., first + n - 1 of the grid to r[n], of type float if `single`,
+ * else double. */
+void core_grid_radii(const core_grid *grid, uint64_t first, size_t n, bool single, void *r);
 
 #endif

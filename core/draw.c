@@ -65,18 +65,15 @@ void core_draw_f32(const core_draw *draw, uint64_t begin, size_t n, float *u) {
 
 /* ---- by list --------------------------------------------------------------------------------- */
 
-#define DEFINE_CHECK(name, type)                                                                   \
-  core_fault name(size_t n, const type *u) {                                                       \
-    for (size_t i = 0; i < n; i++) {                                                               \
-      if (!(u[i] >= 0 && u[i] <= 1)) {                                                             \
-        return (core_fault){"u", "0 to 1, both included", i};                                      \
-      }                                                                                            \
-    }                                                                                              \
-    return (core_fault){0};                                                                        \
+core_fault core_numbers_check(size_t n, bool single, const void *u) {
+  for (size_t i = 0; i < n; i++) {
+    const double number = single ? (double)((const float *)u)[i] : ((const double *)u)[i];
+    if (!(number >= 0 && number <= 1)) {
+      return (core_fault){"u", "0 to 1, both included", i};
+    }
   }
-
-DEFINE_CHECK(core_numbers_check_f64, double)
-DEFINE_CHECK(core_numbers_check_f32, float)
+  return (core_fault){0};
+}
 
 /* ---- cost ------------------------------------------------------------------------------------ */
 

@@ -41,9 +41,9 @@ core_fault core_draw_check(const core_draw *draw);
 void core_draw_f64(const core_draw *draw, uint64_t begin, size_t n, double *u);
 void core_draw_f32(const core_draw *draw, uint64_t begin, size_t n, float *u);
 
-/* Returns the fault, with the field `u`, of the first listed number that is not from 0 to 1. */
-core_fault core_numbers_check_f64(size_t n, const double *u);
-core_fault core_numbers_check_f32(size_t n, const float *u);
+/* Returns the fault, with the field `u`, of the first listed number that is not from 0 to 1. u: [n], of
+ * type float if `single`, else double. */
+core_fault core_numbers_check(size_t n, bool single, const void *u);
 
 /* Returns the cost of drawing one radius, in the unit of core_profile.cost. */
 double core_draw_cost(const core_profile *profile);

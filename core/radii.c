@@ -76,19 +76,17 @@ static core_fault radius_fault(size_t index) {
 DEFINE_CHECK(core_radii_check_f64, double)
 DEFINE_CHECK(core_radii_check_f32, float)
 
-#define DEFINE_RANGE_CHECK(name, type)                                                             \
-  core_fault name(const core_radii_range *range, size_t n, const type *r) {                        \
-    const bool all = range->least_mm <= 0 && range->most_mm >= (double)INFINITY;                   \
-    for (size_t i = 0; !all && i < n; i++) {                                                       \
-      if ((double)r[i] < range->least_mm || (double)r[i] > range->most_mm) {                       \
-        return (core_fault){"r", "the radii that the fit covers: fit_from to fit_to", i};          \
-      }                                                                                            \
-    }                                                                                              \
-    return (core_fault){0};                                                                        \
+core_fault core_radii_range_check(const core_radii_range *range, size_t n, bool single,
+                                  const void *r) {
+  const bool all = range->least_mm <= 0 && range->most_mm >= (double)INFINITY;
+  for (size_t i = 0; !all && i < n; i++) {
+    const double r_mm = single ? (double)((const float *)r)[i] : ((const double *)r)[i];
+    if (r_mm < range->least_mm || r_mm > range->most_mm) {
+      return (core_fault){"r", "the radii that the fit covers: fit_from to fit_to", i};
+    }
   }
-
-DEFINE_RANGE_CHECK(core_radii_range_check_f64, double)
-DEFINE_RANGE_CHECK(core_radii_range_check_f32, float)
+  return (core_fault){0};
+}
 
 /* ---- grids ----------------------------------------------------------------------------------- */
 
@@ -168,18 +166,15 @@ static double radius_of_rule(const struct rule *rule, uint64_t index) {
   return real_min(radius, grid->stop_mm);
 }
 
-void core_grid_radii_f64(const core_grid *grid, uint64_t first, size_t n, double *r) {
+void core_grid_radii(const core_grid *grid, uint64_t first, size_t n, bool single, void *r) {
   assert(core_grid_check(grid).field == NULL && n <= grid->count && first <= grid->count - n);
   const struct rule rule = make_rule(grid);
   for (size_t i = 0; i < n; i++) {
-    r[i] = radius_of_rule(&rule, first + i);
-  }
-}
-
-void core_grid_radii_f32(const core_grid *grid, uint64_t first, size_t n, float *r) {
-  assert(core_grid_check(grid).field == NULL && n <= grid->count && first <= grid->count - n);
-  const struct rule rule = make_rule(grid);
-  for (size_t i = 0; i < n; i++) {
-    r[i] = (float)radius_of_rule(&rule, first + i);
+    const double radius = radius_of_rule(&rule, first + i);
+    if (single) {
+      ((float *)r)[i] = (float)radius;
+    } else {
+      ((double *)r)[i] = radius;
+    }
   }
 }

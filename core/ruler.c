@@ -113,7 +113,7 @@ static core_radii_range ends_of(const core_requested_radii *requested, bool sing
   core_radii_range ends = {grid->start_mm, grid->stop_mm};
   if (requested->listed == NULL) {
     if (!(grid->start_mm > 0)) {
-      core_grid_radii_f64(grid, 1, 1, &ends.least_mm);
+      core_grid_radii(grid, 1, 1, false, &ends.least_mm);
     }
     return ends;
   }
@@ -159,12 +159,12 @@ static size_t choose_radii(const core_requested_radii *requested, bool single, d
     return kept;
   }
   if (single) {
-    core_grid_radii_f32(&grid, 0, n, near);
+    core_grid_radii(&grid, 0, n, true, near);
     for (size_t i = 0; i < n; i++) {
       r[i] = (double)near[i];
     }
   } else {
-    core_grid_radii_f64(&grid, 0, n, r);
+    core_grid_radii(&grid, 0, n, false, r);
   }
   return n;
 }

@@ -364,6 +364,6 @@ bool dipole_grid_radii(enum dipole_spacing spacing, double start_mm, double stop
     return libdipole_fail(error, DIPOLE_ERROR_ARGUMENT, "%s: allowed: %s", fault.field,
                           fault.allowed);
   }
-  core_grid_radii_f32(&grid, 0, (size_t)count, r);
+  core_grid_radii(&grid, 0, (size_t)count, true, r);
   return true;
 }

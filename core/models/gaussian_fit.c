@@ -133,7 +133,7 @@ static bool sample_model(const core_profile *profile, const struct fitted *fitte
   const bool from_zero = !(fitted->from_mm > 0);
   const double start = from_zero ? fitted->to_mm * 1e-3 : fitted->from_mm;
   const core_grid grid = {CORE_SPACING_LOGARITHMIC, count, start, fitted->to_mm};
-  core_grid_radii_f64(&grid, 0, count, samples->r);
+  core_grid_radii(&grid, 0, count, false, samples->r);
   samples->r[0] = fitted->from_mm;
   samples->count = count;
   core_eval_f64(profile, CORE_QUANTITY_R, count, samples->r, samples->R);

@@ -274,7 +274,7 @@ static void prepare_stage_table(core_mc_plan *plan) {
 static void prepare_edges(core_mc_plan *plan) {
   double *edges = plan->edges_squared_mfp2;
   const size_t count = (size_t)plan->request.edges.count;
-  core_grid_radii_f64(&plan->request.edges, 0, count, edges);
+  core_grid_radii(&plan->request.edges, 0, count, false, edges);
   for (size_t i = 0; i < count; i++) {
     edges[i] *= plan->request.sigma_t_per_mm;
     edges[i] *= edges[i];

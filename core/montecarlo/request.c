@@ -186,7 +186,7 @@ static core_fault check_ring_widths(const core_grid *edges) {
   for (uint64_t first = 0; first + 1 < edges->count; first += SLICE) {
     const uint64_t left = edges->count - first;
     const size_t n = left < SLICE + 1 ? (size_t)left : SLICE + 1;
-    core_grid_radii_f64(edges, first, n, r_mm);
+    core_grid_radii(edges, first, n, false, r_mm);
     for (size_t i = 0; i + 1 < n; i++) {
       if (!(r_mm[i + 1] - r_mm[i] > CORE_MC_RING_WIDTH_MIN * r_mm[i])) {
         return (core_fault){"radius_stop", "rings wider than 1e-6 of their radius", 0};

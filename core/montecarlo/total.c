@@ -108,8 +108,8 @@ void core_mc_total_energy(const core_mc_total *total, size_t albedo, core_mc_ene
 static core_mc_ring ring_of(const core_mc_total *total, size_t albedo, size_t side, size_t slot) {
   const core_mc_plan *plan = total->plan;
   core_mc_ring ring = {.photons = total->photons[side * plan->slots + slot]};
-  core_grid_radii_f64(&plan->request.edges, slot - 1, 1, &ring.from_mm);
-  core_grid_radii_f64(&plan->request.edges, slot, 1, &ring.to_mm);
+  core_grid_radii(&plan->request.edges, slot - 1, 1, false, &ring.from_mm);
+  core_grid_radii(&plan->request.edges, slot, 1, false, &ring.to_mm);
   const double width_mm = ring.to_mm - ring.from_mm;
   const double area_mm2 = 3.14159265358979323846 * width_mm * (ring.to_mm + ring.from_mm);
   const core_mc_value light = value_of(total, mc_slot_row(plan, side, slot), albedo);

@@ -165,11 +165,7 @@ static const void *radii_of(const struct repeat_entry *entry, const uint8_t *pay
   if (is_listed(entry)) {
     return payload + entry->request_bytes;
   }
-  if (entry->value_bytes == sizeof(float)) {
-    core_grid_radii_f32(&entry->grid, 0, entry->count, (float *)(void *)radii);
-  } else {
-    core_grid_radii_f64(&entry->grid, 0, entry->count, radii);
-  }
+  core_grid_radii(&entry->grid, 0, entry->count, entry->value_bytes == sizeof(float), radii);
   return radii;
 }
 

@@ -13,6 +13,11 @@ static struct stats *stats_of(const struct eval_job *eval) {
   return &eval->job.context->server->stats;
 }
 
+/* Returns whether radii and values are of type float; else they are of type double. */
+static bool is_single(const struct eval_job *eval) {
+  return eval->value_bytes == sizeof(float);
+}
+
 /* ---- checking -------------------------------------------------------------------------------- */
 
 /* Checks the media. Sets *radii to the range in which all channels can be evaluated, and covers_all to
@@ -62,11 +67,8 @@ static wire_error check_media(struct eval_job *eval, core_radii_range *radii) {
 static wire_error check_range(const struct eval_job *eval, const core_radii_range *range) {
   const wire_eval_request *fixed = &eval->request.fixed;
   if (fixed->spacing == CORE_SPACING_LIST) {
-    const core_fault fault =
-        eval->value_bytes == sizeof(float)
-            ? core_radii_range_check_f32(range, fixed->radius_count, eval->request.radii)
-            : core_radii_range_check_f64(range, fixed->radius_count, eval->request.radii);
-    return job_error(fault);
+    return job_error(
+        core_radii_range_check(range, fixed->radius_count, is_single(eval), eval->request.radii));
   }
   char allowed[80];
   const bool low = fixed->radius_count > 0 && eval->grid.start_mm < range->least_mm;
@@ -100,7 +102,7 @@ static wire_error check_grid(const struct eval_job *eval) {
  * grid, in the precision in which they are evaluated. */
 static wire_error check_radii(struct eval_job *eval) {
   const wire_eval_request *fixed = &eval->request.fixed;
-  const bool single = eval->value_bytes == sizeof(float);
+  const bool single = is_single(eval);
   if (fixed->spacing == CORE_SPACING_LIST) {
     const core_fault fault =
         single ? core_radii_check_f32(fixed->radius_count, eval->request.radii, &eval->radii)
@@ -227,9 +229,8 @@ static wire_error check_numbers(const struct eval_job *eval) {
     return wire_error_make(WIRE_STATUS_BAD_COUNT, fault.field, fault.allowed);
   }
   if (fault.field == NULL && eval->request.radii != NULL) {
-    const uint64_t count = eval->request.fixed.radius_count;
-    fault = eval->value_bytes == sizeof(float) ? core_numbers_check_f32(count, eval->request.radii)
-                                               : core_numbers_check_f64(count, eval->request.radii);
+    fault =
+        core_numbers_check(eval->request.fixed.radius_count, is_single(eval), eval->request.radii);
   }
   return job_error(fault);
 }
@@ -257,11 +258,7 @@ static void pad_array(const struct eval_job *eval, uint64_t array_offset) {
 }
 
 static void expand_grid(const struct eval_job *eval, size_t n, void *radii) {
-  if (eval->value_bytes == sizeof(float)) {
-    core_grid_radii_f32(&eval->grid, eval->parts.first + eval->index, n, radii);
-  } else {
-    core_grid_radii_f64(&eval->grid, eval->parts.first + eval->index, n, radii);
-  }
+  core_grid_radii(&eval->grid, eval->parts.first + eval->index, n, is_single(eval), radii);
 }
 
 /* Returns the address of the next listed radius, or of the next listed number u of a sample. */
@@ -303,7 +300,7 @@ static void *array_of(const struct eval_job *eval, enum core_quantity quantity) 
 /* Draws the next n radii: into the reply if they are wanted, else into scratch memory. */
 static const void *draw_radii(const struct eval_job *eval, size_t n) {
   struct job_context *scratch = eval->job.context;
-  const bool single = eval->value_bytes == sizeof(float);
+  const bool single = is_single(eval);
   const bool wanted = eval_is_array(wanted_of(eval), CORE_QUANTITY_RADIUS);
   void *r = wanted ? array_of(eval, CORE_QUANTITY_RADIUS) : scratch->radii;
   const void *u = scratch->numbers;
@@ -344,7 +341,7 @@ static core_requested_radii requested_radii(const struct eval_job *eval) {
   }
   const core_profile *profile = &eval->lookup.profile;
   double ends[] = {DRAWN_BEYOND, 1 - DRAWN_BEYOND};
-  if (eval->value_bytes == sizeof(float)) {
+  if (is_single(eval)) {
     const float u[] = {(float)ends[0], (float)ends[1]};
     float r[2];
     core_sample_f32(profile, 2, u, r);
@@ -503,7 +500,7 @@ static enum job_outcome get_profile(struct eval_job *eval) {
 
 /* Writes the model errors at n radii. Single precision is rounded up. */
 static void compare_models(const struct eval_job *eval, size_t n, const void *r, void *to) {
-  const bool single = eval->value_bytes == sizeof(float);
+  const bool single = is_single(eval);
   const unsigned others = CORE_OF_CHANNEL | CORE_QUANTITY_MODEL_ERRORS | CORE_QUANTITY_RADIUS;
   const unsigned wanted = eval->request.fixed.wanted & ~others;
   for (size_t first = 0; first < n; first += CORE_RULER_RADII) {
@@ -540,7 +537,7 @@ static void evaluate_slice(struct eval_job *eval, size_t n) {
     }
     if (quantity == CORE_QUANTITY_MODEL_ERRORS) {
       compare_models(eval, n, r, to);
-    } else if (eval->value_bytes == sizeof(float)) {
+    } else if (is_single(eval)) {
       core_eval_f32(&eval->lookup.profile, quantity, n, r, to);
     } else {
       core_eval_f64(&eval->lookup.profile, quantity, n, r, to);

@@ -345,11 +345,7 @@ static struct values radii_of(const uint8_t *request, const wire_eval_request *f
   }
   const core_grid grid = {fixed->spacing, fixed->radius_count, fixed->radius_start,
                           fixed->radius_stop};
-  if (value_bytes == sizeof(float)) {
-    core_grid_radii_f32(&grid, 0, (size_t)grid.count, (float *)(void *)room);
-  } else {
-    core_grid_radii_f64(&grid, 0, (size_t)grid.count, room);
-  }
+  core_grid_radii(&grid, 0, (size_t)grid.count, value_bytes == sizeof(float), room);
   return (struct values){(const uint8_t *)room, value_bytes};
 }
 

@@ -126,7 +126,7 @@ static transport_number walks_mean(const solver_solution *solution, size_t ring)
   double edge[2];
   transport_number mean = {0, 0};
   gauss_rule rule;
-  core_grid_radii_f64(&edges, ring, 2, edge);
+  core_grid_radii(&edges, ring, 2, false, edge);
   transport_gauss(&rule, NODES);
   const double from = edge[0] * edge[0], to = edge[1] * edge[1];
   for (size_t i = 0; i < rule.n; i++) {

@@ -293,7 +293,7 @@ static void compare_with_plain(const plain_medium *medium, int plain_photons) {
   request.thickness_mm = medium->thickness;
   double edges[PLAIN_RINGS + 1];
   montecarlo_rings(&request, PLAIN_RINGS, 0.01, 30);
-  core_grid_radii_f64(&request.edges, 0, PLAIN_RINGS + 1, edges);
+  core_grid_radii(&request.edges, 0, PLAIN_RINGS + 1, false, edges);
   walk_plainly(medium, plain_photons, edges, theirs);
   montecarlo_run run =
       montecarlo_run_batches(&request, enough < BATCHES_MAX ? enough : BATCHES_MAX);

@@ -257,7 +257,7 @@ static void print_grids(void) {
     const double start = spread(&state, -30, 10);
     const core_grid grid = {i % 2 ? CORE_SPACING_LINEAR : CORE_SPACING_LOGARITHMIC, RADII, start,
                             start * spread(&state, 0, 40)};
-    core_grid_radii_f64(&grid, 0, RADII, r);
+    core_grid_radii(&grid, 0, RADII, false, r);
     sum = checksum(sum, r, sizeof r);
   }
   printf("grids %016" PRIx64 "\n", sum);

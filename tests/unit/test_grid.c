@@ -136,7 +136,7 @@ enum { GRIDS = sizeof grids / sizeof grids[0] };
 UNIT_TEST(radii_follow_the_rule) {
   for (size_t i = 0; i < GRIDS; i++) {
     double r[COUNT_MAX];
-    core_grid_radii_f64(&grids[i], 0, (size_t)grids[i].count, r);
+    core_grid_radii(&grids[i], 0, (size_t)grids[i].count, false, r);
     assert_radii(&grids[i], 0, (size_t)grids[i].count, r);
   }
 }
@@ -150,7 +150,7 @@ UNIT_TEST(slices_of_the_largest_grids_follow_the_rule) {
     const uint64_t firsts[] = {0, 1, grid.count / 3, grid.count / 2, grid.count - SLICE};
     for (size_t j = 0; j < sizeof firsts / sizeof firsts[0]; j++) {
       double r[SLICE];
-      core_grid_radii_f64(&grid, firsts[j], SLICE, r);
+      core_grid_radii(&grid, firsts[j], SLICE, false, r);
       assert_radii(&grid, firsts[j], SLICE, r);
     }
   }
@@ -162,11 +162,11 @@ UNIT_TEST(slices_equal_the_whole) {
   for (size_t i = 0; i < GRIDS; i++) {
     const size_t count = (size_t)grids[i].count;
     double whole[COUNT_MAX], slices[COUNT_MAX];
-    core_grid_radii_f64(&grids[i], 0, count, whole);
+    core_grid_radii(&grids[i], 0, count, false, whole);
     for (size_t first = 0; first < count;) {
       size_t n = 1 + unit_random_below(&random, 100);
       n = n < count - first ? n : count - first;
-      core_grid_radii_f64(&grids[i], first, n, slices + first);
+      core_grid_radii(&grids[i], first, n, false, slices + first);
       first += n;
     }
     assert_memory_equal(whole, slices, count * sizeof *whole);
@@ -178,8 +178,8 @@ UNIT_TEST(single_precision_is_the_double_rounded) {
     const size_t count = (size_t)grids[i].count;
     double wide[COUNT_MAX];
     float narrow[COUNT_MAX];
-    core_grid_radii_f64(&grids[i], 0, count, wide);
-    core_grid_radii_f32(&grids[i], 0, count, narrow);
+    core_grid_radii(&grids[i], 0, count, false, wide);
+    core_grid_radii(&grids[i], 0, count, true, narrow);
     for (size_t j = 0; j < count; j++) {
       assert_true(narrow[j] == (float)wide[j]);
     }
@@ -194,10 +194,10 @@ UNIT_TEST(nothing_beyond_the_slice_is_written) {
     wide[i] = -7;
     narrow[i] = -7;
   }
-  core_grid_radii_f64(&grid, 3, 10, wide + 1);
-  core_grid_radii_f32(&grid, 3, 10, narrow + 1);
+  core_grid_radii(&grid, 3, 10, false, wide + 1);
+  core_grid_radii(&grid, 3, 10, true, narrow + 1);
   assert_true(wide[0] == -7 && wide[11] == -7);
   assert_true(narrow[0] == -7 && narrow[11] == -7);
-  core_grid_radii_f64(&grid, 3, 0, wide);
+  core_grid_radii(&grid, 3, 0, false, wide);
   assert_true(wide[0] == -7);
 }

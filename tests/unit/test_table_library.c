@@ -456,7 +456,7 @@ UNIT_TEST(grids_are_the_daemons) {
   const core_grid grid = {CORE_SPACING_LOGARITHMIC, 7, 0.01, 100};
   float expected[7], found[7];
   dipole_error error;
-  core_grid_radii_f32(&grid, 0, 7, expected);
+  core_grid_radii(&grid, 0, 7, true, expected);
   assert_true(dipole_grid_radii(DIPOLE_LOGARITHMIC, 0.01, 100, 7, found, &error));
   assert_memory_equal(found, expected, sizeof found);
   assert_true(dipole_grid_radii(DIPOLE_LINEAR, 0, 6, 7, found, NULL));
