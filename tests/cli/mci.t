@@ -25,6 +25,10 @@ run,quantity,layer,from,to,value,error
 slab.mco,Rd_r,,0.1,0.2,0.256...
 deep.mco,Rd_r,,0,0.05,7.52...
 
+## Only ratios of refractive indices count.
+$ for n in 1 2; do printf "1.0\n1\na A\n9\n.01 .1\n10 2 1\n1\n$n\n$((2 * n)) 2 18 .75 .1\n$n\n" > one.mci; dipole eval --mci one.mci --tolerance 0.1 --format csv; done | sort | uniq -c | grep -v '^ *2 '
+? 1
+
 $ dipole eval --mci two.mci --medium skin1
 ! dipole eval: --mci has its media and radii in its file: leave the others out
 ! `dipole eval --help` says more.

@@ -59,6 +59,14 @@ sigma_a,sigma_s,g,eta,r,R,albedo,cdf,status
   
 # end
 
+$ printf 'medium,channel,r,sigma_a,sigma_s\nskin1,red,1,,0.5\nskin1,red,1,0.1,\nskin1,red,1,0.1,0.5\n' | dipole points --model better --wanted R
+medium,channel,r,sigma_a,sigma_s,R,status
+skin1,red,1,,0.5,,sigma_a: '' is no number: allowed: decimal numbers within the range of doubles
+skin1,red,1,0.1,,,sigma_s: '' is no number: allowed: decimal numbers within the range of doubles
+skin1,red,1,0.1,0.5,,g: '' is no number: allowed: decimal numbers within the range of doubles
+! dipole points: standard input: 3 of 3 rows were bad: see the column status
+? 3
+
 $ printf 'medium,channel,r,eta\nskin1,red,1,\nskin1,blue,1,1.4\nmy own,red,1,1.3\nskin1,,1,\n' | dipole points --model better --wanted R
 medium,channel,r,eta,R,status
 skin1,red,1,,0.015481882273229152,ok

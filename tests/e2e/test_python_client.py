@@ -1,6 +1,7 @@
 """The Python client: its results, the requests that it refuses to send, and how it reports
 errors."""
 
+import contextlib
 import copy
 import inspect
 import os
@@ -8,6 +9,7 @@ import pickle
 import re
 import shutil
 import socket
+import struct
 import subprocess
 import sys
 import threading
@@ -17,7 +19,7 @@ import dipole
 import numpy as np
 import pytest
 from daemons import BUILD, PROGRAM, REPOSITORY, environment, finished
-from dipole import Grid, Medium, wire
+from dipole import Grid, Medium, exchange, wire
 from dipole import connection as connections
 from frames import PING, SKIN, frame
 
@@ -628,3 +630,58 @@ def test_calls_have_signatures(client, tmp_path):
     found = {int(line.split(":")[1]) - 5 for line in checked.stdout.splitlines() if ": error: " in line}
     bad = {i for i, line in enumerate(lines) if line.split(".", 1)[1] in BAD_CALLS}
     assert found == bad, checked.stdout
+
+# ---- requests ------------------------------------------------------------------------------------
+
+OTHER = {
+    "axis": "f", "scale": "free", "moments": "jensen", "light": "diffuse", "specular": True, "draw": dipole.Draw(3, 7),
+    "given": "diffuse-mean-free-path", "haemoglobin": "ucl", "evaluator": "f64", "wanted": ["cdf"], "quantity": "phase",
+    "coefficients": ["sigma_s"], "residuals": True, "model_error": False, "name": "liver", "model": "better",
+    "deadline_ms": 54321, "seed": 77, "photons": 4096.0, "tolerance": 0.0123, "g": 0.71, "eta": 1.37, "thickness": 2.75,
+    "source": [0.21, 0.22], "detector": [0.31, 0.32], "mhz": [81.0, 82.0], "detector_na": 0.41, "error_total": 0.043,
+    "error_rings": 0.054, "albedos": [0.91, 0.82], "parameters": {"cos_in": 0.65}, "properties": {"fat_fraction": 0.17},
+    "reference": Medium(0.013, 1.7, 0.2, 1.4), "grid": Grid(0.6, 4.7, 5), "u": [0.55, 0.66],
+}  # fmt: skip
+AT, VALUES, ERRORS = [1.11, 2.22], [0.0333, 0.00444], [0.000555, 0.0000666]
+# Calls: arguments, which others are left out, and numbers in the order in which a request has them.
+REQUESTS = {
+    "fit": (("better", AT, VALUES, ERRORS), {"eta": 1.4}, [], ["g", "eta", "thickness", "source", "detector"]),
+    "fit_layers": ((dipole.Stack(Medium(0.1, 2, 0, 1.4, 1), Medium(0.2, 3)), ["sigma_a_1"], AT, VALUES, ERRORS), {}, [], []),
+    "fit_tissue": ((["hb_uM"], [650.5], AT, [VALUES], [ERRORS]), {}, [], ["source", "detector", "mhz"]),
+    "mc": ((Medium(0.1, 2), Grid(0.3, 5.2, 3)), {"photons": 100}, ["progress"], ["error_total", "error_rings"]),
+    "invert": (("better", 0.44, 1.3), {}, [], ["g", "eta"]),
+    "gather": (("better", "skin1", dipole.Points([[1, 2, 3]], [1.0]), [[0.5, 0, 0]]), {}, ["progress"], []),
+    "varying": (("better",), {"colour": 0.44, "length": 1.3}, ["sigma_a", "sigma_s", "colour", "length", "r"], ["g", "eta"]),
+    "tissue": (([650.5],), {}, [], []),
+    "surface": (("better",), {}, ["evaluator"], ["g", "eta"]),
+    "table": (("better", THREE[0]), {}, [], []),
+    "sample": (("better", "skin1", [0.1, 0.2]), {}, ["u", "draw"], []),
+    "eval": (("better", "skin1", [0.5]), {}, ["r", "grid"], []),
+    "offers": (("skin1", [0.5]), {"tolerance": 0.1}, ["r", "grid"], []),
+}
+
+
+@pytest.mark.parametrize("call", REQUESTS)
+def test_each_argument_is_in_the_request(client, monkeypatch, call):
+    arguments, base, left_out, order = REQUESTS[call]
+    sent = []
+
+    def pieces(type: int, request_id: int, payload: bytes = b"", deadline_ms: int = 0) -> list[bytes]:
+        sent.append((bytes(payload), deadline_ms))
+        return connections.frame_pieces(type, request_id, payload, deadline_ms)
+
+    def asked(**more: object) -> tuple[bytes, int]:
+        sent.clear()
+        with contextlib.suppress(dipole.Refused):
+            getattr(client, call)(*arguments, **{**base, **more})
+        return sent[0]
+
+    monkeypatch.setattr(exchange, "frame_pieces", pieces)
+    usual = asked()
+    names = list(inspect.signature(getattr(dipole.Client, call)).parameters)[1 + len(arguments) :]
+    for name in set(names) - set(left_out):
+        assert asked(**{name: OTHER[name]}) != usual, name
+    payload = asked(**{name: OTHER[name] for name in order})[0]
+    numbers = [one for name in order for one in np.ravel(OTHER[name])]
+    places = [payload.find(struct.pack("<d", one)) for one in numbers]
+    assert places == sorted(places) and -1 not in places, dict(zip(numbers, places))

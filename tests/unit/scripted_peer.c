@@ -112,8 +112,10 @@ bool peer_say_hello(int fd) {
   wire_choice status = {.kind = WIRE_CHOICE_STATUS, .id = WIRE_STATUS_BAD_VALUE};
   peer_frame request;
   WIRE_SET_TEXT(reply.software, "scripted\033[31m");
-  WIRE_SET_TEXT(reply.R_unit, WIRE_R_UNIT);
+  WIRE_SET_TEXT(reply.instruction_set, "avx\n2");
+  WIRE_SET_TEXT(reply.R_unit, "1/mm^2\177");
   WIRE_SET_TEXT(model.name, "better");
+  WIRE_SET_TEXT(model.about, "half\rspaces");
   WIRE_SET_TEXT(status.name, "bad-value");
   wire_put_hello_reply(payload, &reply);
   wire_put_choice(payload + WIRE_BYTES_hello_reply, &model);

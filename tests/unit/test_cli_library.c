@@ -46,7 +46,11 @@ UNIT_TEST(test_eval) {
   dipole_client *client = peer_begin(&peer, peer_serve, NULL);
   const dipole_info *info = dipole_get_info(client);
   assert_string_equal(info->address, peer.address);
-  assert_string_equal(info->software, "scripted?[31m"); /* The escape character was replaced. */
+  /* Control characters were replaced. */
+  assert_string_equal(info->software, "scripted?[31m");
+  assert_string_equal(info->instruction_set, "avx?2");
+  assert_string_equal(info->R_unit, "1/mm^2?");
+  assert_string_equal(info->choices[0].about, "half?spaces");
   assert_int_equal(dipole_id(client, DIPOLE_MODEL, "better"), 2);
   assert_int_equal(dipole_id(client, DIPOLE_MODEL, "bad-value"), 0);
   check_simple_result(peer_eval(client, &simple_query));
