@@ -288,11 +288,12 @@ def test_the_document_has_the_constants():
     assert {row[0] for row in told} <= set(listed) and len(listed) == 2 * 19
 
 
-def test_layers_of_one_medium_are_that_medium():
-    whole = json.loads(dipole("bake", "burley", "--sigma-a", ".1", "--sigma-s", "1", "--format", "json").stdout)
+@pytest.mark.parametrize("kind, options", [("burley", ()), ("kernel", ("--range", "3")), ("profile", ("--range", "5"))])
+def test_layers_of_one_medium_are_that_medium(kind, options):
+    whole = json.loads(dipole("bake", kind, "--sigma-a", ".1", "--sigma-s", "1", *options, "--format", "json").stdout)
     layers = ["--layer", ".1,1,0,1.3,1", "--layer", ".1,1,0,1.3"]
-    stack = json.loads(dipole("bake", "burley", *layers, "--format", "json").stdout)
-    assert stack["rows"] == [pytest.approx(whole["rows"][0], rel=1e-3)]
+    stack = json.loads(dipole("bake", kind, *layers, *options, "--format", "json").stdout)
+    assert stack["rows"] == [pytest.approx(row, rel=2e-3) for row in whole["rows"]]
     assert stack["colour"] == pytest.approx(whole["colour"], rel=1e-4)
     assert (stack["thickness_1"][0], stack["thickness_2"][0]) == (1, 0) and "thickness" not in whole
     assert 0 < stack["transport_error"][0] < 0.2

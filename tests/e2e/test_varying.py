@@ -180,6 +180,7 @@ def test_a_surface_finds_media_at_home_with_the_same_bits(client, model, evaluat
 def test_a_surface_keeps_shapes_and_its_frame(client, tmp_path):
     surface = client.surface("transport", tolerance=1e-2)
     assert surface.parameters == {"tolerance": 1e-2} and "transport" in repr(surface)
+    assert set(surface._fixed.numerical_errors) == {surface.numerical_error}
     media = surface.media(np.full((2, 3), 0.5), [1.0, 0.5, 0.25])
     R = surface.R(media.sigma_a, media.sigma_s, 0.5)
     assert R.shape == media.sigma_a.shape == (2, 3) and R.dtype == np.float32
