@@ -58,33 +58,6 @@ UNIT_TEST(transport_without_absorption_falls_like_diffusion) {
   }
 }
 
-/* ---- beam --------------------------------------------------------------------------------- */
-
-/* Simpson's rule for r pdf over ln r, from where nothing is left. */
-static double integral_of_pdf(const core_profile *profile, double r) {
-  enum { STEPS = 2000 };
-  const double step = 20.0 / STEPS;
-  double sum = 0;
-  for (int i = 0; i <= STEPS; i++) {
-    const double at = r * exp(-step * i);
-    const double weight = i == 0 || i == STEPS ? 1 : i % 2 ? 4 : 2;
-    sum += weight * at * unit_value_at(profile, CORE_QUANTITY_PDF, at);
-  }
-  return sum * step / 3;
-}
-
-UNIT_TEST(the_cdf_of_beam_is_the_integral_of_its_pdf) {
-  static const core_medium media[] = {{0.1, 0.9, 0, 1.3}, {0, 1, 0, 1.3}, {0.9, 0.1, 0, 0.7}};
-  for (size_t i = 0; i < sizeof media / sizeof media[0]; i++) {
-    core_profile profile = prepared(CORE_MODEL_BEAM, media[i], (double)NAN);
-    for (double x = 1e-12; x < 3e-7; x *= 2.7) {
-      assert_near(unit_value_at(&profile, CORE_QUANTITY_CDF, x), integral_of_pdf(&profile, x), 1e-6,
-                  "the cdf of beam", x);
-    }
-    core_profile_free(&profile);
-  }
-}
-
 /* Where numbers on the way to a value underflow, also beside a radius of 0, no error is promised. */
 UNIT_TEST(next_to_the_source_the_error_is_not_known) {
   static const double lists[][2] = {{0, 1e-310}, {1, 1e-270}, {0, 1e-200}, {0, 1e-20}};

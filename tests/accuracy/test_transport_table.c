@@ -129,33 +129,6 @@ UNIT_TEST(the_quoted_error_holds) {
   assert_true(shipped_error() <= 1e-4);
 }
 
-/* 2 pi r R over all radii by the trapezoidal rule over ln r, which converges exponentially. */
-static double ring_sum(const core_preparation *preparation) {
-  double sum = 0;
-  for (double y = -25; y < 25; y += 0.02) {
-    const double r = exp(y);
-    sum += 0.02 * r * (2 * acos(-1) * r * evaluate(preparation, CORE_ELEMENTWISE_R, r));
-  }
-  return sum;
-}
-
-UNIT_TEST(the_energy_is_the_albedo) {
-  uint64_t random = unit_seed();
-  for (size_t i = 0; i < 60; i++) {
-    const double eta = unit_random_between(&random, 0.7, 2.2);
-    const double albedo = i < 2 ? fixed_albedos[i] : random_albedo(&random, i);
-    core_preparation preparation = prepare(albedo, eta, 1e-4);
-    assert_true(fabs(evaluate(&preparation, CORE_ELEMENTWISE_CDF, (double)INFINITY) - 1) < 1e-12);
-    assert_true(fabs(evaluate(&preparation, CORE_ELEMENTWISE_CDF, 1e6) - 1) < 1e-9);
-    assert_true(evaluate(&preparation, CORE_ELEMENTWISE_CDF, 0) == 0);
-    const double off = fabs(ring_sum(&preparation) / preparation.albedo - 1);
-    if (!(off <= 2 * preparation.error + 1e-8)) {
-      fail_msg("albedo %.17g, eta %.17g: the ring is off by %g", albedo, eta, off);
-    }
-    free(preparation.table);
-  }
-}
-
 /* ---- scattering that is not isotropic ------------------------------------------------------- */
 
 static double hold_total(double total, transport_number truth, double stated) {

@@ -129,7 +129,7 @@ def alone():
 
 
 @pytest.mark.parametrize(
-    "options, connections", [(["--workers", "1"], 6), (["--max-in-flight", "3"], 1), ([], 6)]
+    "options, connections", [(["--workers", "1"], 6), (["--max-in-flight", "3", "--cache-bytes", "20000"], 1), ([], 6)]
 )
 def test_together_as_alone(daemon, alone, options, connections):
     payloads, expected = alone

@@ -1,10 +1,9 @@
 """`dipole bench`: its figures add up, in every format. No test checks how fast it is."""
 
 import json
-import re
 
 import pytest
-from command_line import Terminal, dipole
+from command_line import dipole
 
 SHORT = ("--seconds", "0.05")
 FIGURES = [
@@ -65,12 +64,3 @@ def test_the_load_is_the_one_that_was_asked_for(daemon):
     assert evals == sum(requests) + 3
     radii = after["radii_transport"] - before["radii_transport"]
     assert radii == 3 * (7 * (requests[0] + requests[1] + 2) + 1000 * (requests[2] + 1))
-
-
-def test_a_bar_when_it_takes_long():
-    """The progress bar appears after two seconds on a terminal, and leaves the report unchanged."""
-    run = Terminal("bench", "--seconds", "0.9", "--format", "json", on=[2])
-    status, output = run.end()
-    assert status == 0 and len(json.loads(output)["rows"]) == 3
-    bar = r"\r\[#+ +\]  \d\d %  [\d.e+]+ requests, [\d.e+]+/s  0:\d\d left\033\[K"
-    assert re.search(bar, run.seen) and run.seen.endswith("\r\033[K")

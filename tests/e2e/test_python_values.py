@@ -80,15 +80,6 @@ def test_more_media_and_radii_than_a_request_may_have(daemon):
         np.testing.assert_array_equal(small.values("better", one, r).values, expected.values)
 
 
-def test_an_image_with_a_medium_in_each_pixel(client):
-    rng = np.random.default_rng(7)
-    sigma_a, r = rng.uniform(0.01, 1, (30, 20)), rng.uniform(0, 5, (30, 20))
-    found = client.values("better", Medium(sigma_a, 1.0), r).values
-    for y, x in ((0, 0), (29, 19), (13, 7)):
-        one = client.eval("better", Medium(sigma_a[y, x], 1.0), r[y, x])
-        assert found[y, x] == one.R[0, 0]
-
-
 def test_nothing_is_asked_for(client):
     empty = client.values("better", SKIN1[0], np.empty((3, 0)))
     assert empty.values.shape == empty.numerical_error.shape == (3, 0)
