@@ -1047,6 +1047,44 @@ static void set_errors(const struct source *source, const struct panels *panels,
       (core_reach){.most_mm = last_of(panels) / sigma_t_prime, .growth = growth_of(source->kappa)};
 }
 
+/* A solution loses its digits far away, that of a half space where g is near -1. It is used up to the
+ * largest radius where its relative error is at most DIGITS_LEFT, or where there is none, DIGITS_LEAST
+ * (thin slabs), which is no smaller than the end by MUCH_NEARER. Beyond, R is not known: the error grows
+ * to infinity within 8 % of the radius. */
+#define DIGITS_LEFT 0.0625
+#define DIGITS_LEFT_HALF 0.5
+#define DIGITS_LEAST 0.16
+#define MUCH_NEARER 6.0 /* in ln x */
+#define LOST_GROWTH 1000.0
+
+/* Sets *end to the largest ln x that is used, and *growth to that of the reach if digits are lost
+ * before R is negligible, else to 0. Returns false if no radius has enough digits: *end is the last one. */
+static bool find_end_known(const struct source *source, double *end, double *growth) {
+  const double most = find_end(source);
+  const double left[] = {source->layers != NULL ? DIGITS_LEFT : DIGITS_LEFT_HALF, DIGITS_LEAST};
+  for (size_t i = 0; i < sizeof left / sizeof left[0]; i++) {
+    for (*end = most; *end > most - MUCH_NEARER; *end -= 0.5 * PANEL_WIDTH) {
+      const transport_number at = solved_at(source, real_exp_signed(*end));
+      if (at.error <= left[i] * at.value) {
+        *growth = *end < most ? LOST_GROWTH : 0;
+        return true;
+      }
+    }
+  }
+  *end = most;
+  *growth = LOST_GROWTH;
+  return false;
+}
+
+/* Beyond the last panel its error holds, and the reach adds to it. */
+static void extend_errors(const struct source *source, double end, core_added_errors *added) {
+  const transport_number last = solved_at(source, real_exp_signed(end));
+  for (double x = real_exp_signed(end); x < 2 * core_error_edges_mfp[CORE_ERROR_BANDS - 1];
+       x *= 1.1) {
+    enter_error(last.error / last.value, x, added);
+  }
+}
+
 static core_fault prepare_solved(const core_inputs *inputs, const core_medium *medium,
                                  double tolerance, core_preparation *preparation) {
   core_fault fault = find_albedo(inputs, medium, preparation);
@@ -1059,11 +1097,16 @@ static core_fault prepare_solved(const core_inputs *inputs, const core_medium *m
   struct source source = {.medium = medium, .kappa = kappa_of(medium)};
   struct panels panels = {.joined = false};
   struct derivative by_ratio;
+  double end, growth = 0;
   fault = solver_solve_until(&solution, inputs->isa, ratio_of(medium), &phase, medium->eta,
                              tolerance, inputs->stop);
   if (fault.field == NULL) {
     source.solution = solution;
-    lay_panels_solved(&source, find_end(&source), &panels, &preparation->added);
+    find_end_known(&source, &end, &growth);
+    lay_panels_solved(&source, end, &panels, &preparation->added);
+    if (growth > 0) {
+      extend_errors(&source, end, &preparation->added);
+    }
     fault = derivatives
                 ? differentiate(inputs, &source, &panels, false, DIFFERENCE_LEVEL, &by_ratio)
                 : fault;
@@ -1073,6 +1116,7 @@ static core_fault prepare_solved(const core_inputs *inputs, const core_medium *m
     return fault;
   }
   set_errors(&source, &panels, preparation);
+  preparation->reach.growth = fmax(growth, preparation->reach.growth);
   return fill_table(inputs, medium, &panels, source.kappa, &by_ratio, derivatives, false,
                     preparation);
 }
@@ -1094,41 +1138,6 @@ static double kappa_at(const struct source *source, double end) {
                                           real_exp_signed(end - 0.5 * step)
                                     : 0;
   return fmax(at_end, source->absorbs_least);
-}
-
-/* A solution of layers loses its digits far away. It is used up to the largest radius where its
- * relative error is at most DIGITS_LEFT, or where there is none, DIGITS_LEAST (thin slabs), which is
- * no smaller than the end by MUCH_NEARER. Beyond, R is not known: the error grows to infinity within
- * 8 % of the radius. */
-#define DIGITS_LEFT 0.0625
-#define DIGITS_LEAST 0.16
-#define MUCH_NEARER 6.0 /* in ln x */
-#define LOST_GROWTH 1000.0
-
-/* Sets *end to the largest ln x that is used, and *growth to that of the reach if digits are lost
- * before R is negligible, else to 0. Returns false if no radius has enough digits. */
-static bool find_end_of_layers(const struct source *source, double *end, double *growth) {
-  const double most = find_end(source);
-  static const double left[] = {DIGITS_LEFT, DIGITS_LEAST};
-  for (size_t i = 0; i < sizeof left / sizeof left[0]; i++) {
-    for (*end = most; *end > most - MUCH_NEARER; *end -= 0.5 * PANEL_WIDTH) {
-      const transport_number at = solved_at(source, real_exp_signed(*end));
-      if (at.error <= left[i] * at.value) {
-        *growth = *end < most ? LOST_GROWTH : 0;
-        return true;
-      }
-    }
-  }
-  return false;
-}
-
-/* Beyond the last panel its error holds, and the reach adds to it. */
-static void extend_errors(const struct source *source, double end, core_added_errors *added) {
-  const transport_number last = solved_at(source, real_exp_signed(end));
-  for (double x = real_exp_signed(end); x < 2 * core_error_edges_mfp[CORE_ERROR_BANDS - 1];
-       x *= 1.1) {
-    enter_error(last.error / last.value, x, added);
-  }
 }
 
 /* The solver's coarser grid for differences of layers, for tolerances below FINE and from there on. The
@@ -1172,7 +1181,7 @@ static core_fault prepare_side(const core_inputs *inputs, const solver_layers *l
   struct panels panels = {.joined = false};
   struct derivative by[2];
   double end, growth = 0;
-  if (find_end_of_layers(&source, &end, &growth)) {
+  if (find_end_known(&source, &end, &growth)) {
     source.kappa = kappa_at(&source, end);
     lay_panels_solved(&source, end, &panels, &preparation->added);
   }
