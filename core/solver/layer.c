@@ -325,7 +325,7 @@ struct memory {
 static bool reserve(struct memory *to, const expansion *of, double complex k) {
   const bool is_complex = cimag(k) != 0;
   const size_t n = of->n, last = n - of->first[of->orders];
-  const size_t bytes = sizeof(double) * (MATRICES * 2 * solver_dense_size(n, n + 1) +
+  const size_t bytes = sizeof(double) * (MATRICES * 2 * solver_dense_size(n + 1, n + 1) +
                                          4 * solver_dense_size(n, 2) + 2 * last * last);
   to->all = aligned_alloc(ALIGNMENT_BYTES,
                           (bytes + ALIGNMENT_BYTES - 1) / ALIGNMENT_BYTES * ALIGNMENT_BYTES);
@@ -336,7 +336,8 @@ static bool reserve(struct memory *to, const expansion *of, double complex k) {
   double *next = to->all;
   dense matrix[MATRICES];
   for (size_t i = 0; i < MATRICES; i++) {
-    matrix[i] = solver_dense_at(of->isa, &next, n, n + 1, is_complex);
+    matrix[i] = solver_dense_at(of->isa, &next, n + 1, n + 1, is_complex);
+    matrix[i].rows = n;
   }
   to->work = (struct work){of,        k,         {matrix[0], matrix[1], matrix[2], matrix[3]},
                            matrix[4], matrix[5], NULL};
@@ -377,50 +378,6 @@ bool solver_layer_halfspace(const expansion *of, double complex k, double kappa,
 
 /* ---- layers of finite thickness ------------------------------------------------------------ */
 
-/* Sets *to to step times the matrix of -v' = Xm u for light that is not scattered again: E, with the
- * closure, the columns of what scatters of a beam, -a b+ and -a sign b-, and 1 in both corners. */
-static void fill_rates(const struct work *by, const dense *to, double sign, double step) {
-  const expansion *of = by->of;
-  const size_t n = of->n;
-  solver_dense_clear(to);
-  fill_matrix(by, to, of->unit, step);
-  add_signs(of, to, -1);
-  for (size_t i = 0; i < n; i++) {
-    for (size_t j = 0; j < n; j++) {
-      solver_dense_put(to, i, j, sign_of_row(of, i) * solver_dense_get(to, i, j));
-    }
-    solver_dense_put(to, i, n, -step * of->albedo * of->source[0][i]);
-    solver_dense_put(to, i, n + 1, -step * of->albedo * sign * of->source[1][i]);
-  }
-  for (size_t i = n; i < to->columns; i++) {
-    solver_dense_put(to, i, i, step);
-  }
-}
-
-static void add_identity(const dense *to, double factor) {
-  for (size_t i = 0; i < to->rows; i++) {
-    to->re[i * to->stride + i] += factor;
-  }
-}
-
-/* Matrices [n + 2][n + 2] of a thin layer. */
-enum { THIN = 6 };
-
-/* Sets *to to (1 - K) / (1 + K), where K = (15 + Z) a / (15 + 6 Z), Z = a b: the [3/3] Pade
- * approximant of the light that leaves a thin layer which is lit alike from both sides (opposite:
- * a and b exchanged). a and b are half a thickness times Xm and Xp. */
-static bool pade(const dense *to, const dense *a, const dense *b, const dense *z,
-                 const dense *left) {
-  solver_dense_multiply(z, a, b);
-  solver_dense_multiply(to, z, a);
-  solver_dense_combine(to, 15, a, 1, to);  /* left: (15 + Z) a */
-  solver_dense_combine(left, 6, z, 1, to); /* left: 15 + 6 Z + (15 + Z) a */
-  solver_dense_combine(to, 6, z, -1, to);
-  add_identity(left, 15);
-  add_identity(to, 15);
-  return solver_dense_solve(left, to);
-}
-
 /* How often a layer is halved until its start is exact: the stiffest modes, whose rate is G, are
  * lost by repetition. */
 static int halvings_of(const expansion *of, double complex k, double depth) {
@@ -454,22 +411,51 @@ static void double_once(const struct work *by, const layer_operators *to, const 
   copy(&to->passed_once, &twice);
 }
 
-/* Sets what a thin layer scatters at most once. Without more scattering Xm and Xp are alike but for
- * the sign of b-, so that one approximant has what passes, with the columns of b+ and b-. */
-static bool find_once(const struct work *by, const layer_operators *to, const dense *thin,
-                      double step) {
-  const expansion *of = by->of;
-  const size_t n = of->n;
-  fill_rates(by, &thin[2], 1, step);
-  fill_rates(by, &thin[3], -1, step);
-  if (!pade(&thin[0], &thin[2], &thin[3], &thin[4], &thin[5])) {
+/* Sets A and B of a thin layer, half of which is `step` thick (see the head of this file). */
+static bool begin_layer(const struct work *by, layer_relation *a, layer_relation *b,
+                        layer_relation *sum, const double *even, const double *odd, double step) {
+  layer_relation x = {by->alike, 0};
+  fill_relation(by, &x, even, 1, step);
+  fill_relation(by, b, odd, -1, step);
+  if (!invert(by, b, b)) {
     return false;
   }
-  for (size_t row = 0; row <= n; row++) {
-    for (size_t column = 0; column <= n; column++) {
-      solver_dense_put(&to->passed_once, row, column, solver_dense_get(&thin[0], row, column));
-    }
-    solver_dense_put(&to->reflected_once, row, 0, solver_dense_get(&thin[0], row, n + 1));
+  solver_layer_combine(sum, 1.2, &x, 3, b);
+  if (!solver_layer_weigh(by->spare, a, &x, sum)) {
+    return false;
+  }
+  solver_layer_combine(a, 1, &x, -1, a);
+  solver_layer_combine(sum, 1, &x, 15, b);
+  if (!solver_layer_weigh(by->spare, sum, &x, sum)) {
+    return false;
+  }
+  solver_layer_combine(&x, 1, &x, -1, sum);
+  solver_layer_combine(b, 1, b, 1.0 / 3, &x);
+  return true;
+}
+
+/* Sets what a layer scatters at most once: light is not scattered again, so that it passes and is not
+ * reflected. */
+static bool find_once(const struct work *by, layer_operators *to, double step, int halvings) {
+  const expansion *of = by->of;
+  layer_relation *sum = &to->sum, *a = &to->apart, b = {by->opposite, 0};
+  if (!begin_layer(by, a, &b, sum, of->unit, of->unit, step) || !exchange(by->spare, of, a, a) ||
+      !exchange(by->spare, of, &b, &b)) {
+    return false;
+  }
+  dense passed = to->passed_once;
+  passed.rows = of->n;
+  solver_dense_clear(&to->passed_once);
+  solver_dense_combine(&passed, 0.5, &a->all, -0.5, &b.all);
+  change_signs(of, &passed);
+  solver_dense_put(&to->passed_once, of->n, of->n, 0.5 * (a->beam - b.beam));
+  solver_layer_combine(sum, 0.5, a, 0.5, &b);
+  for (size_t row = 0; row < of->n; row++) {
+    solver_dense_put(&to->reflected_once, row, 0,
+                     sign_of_row(of, row) * solver_dense_get(&sum->all, row, of->n));
+  }
+  for (int i = 0; i < halvings; i++) {
+    double_once(by, to, &by->spare[0]);
   }
   return true;
 }
@@ -477,34 +463,14 @@ static bool find_once(const struct work *by, const layer_operators *to, const de
 /* Light that passes a layer is not followed below this share. */
 #define PASSED_LEAST 1e-20
 
-static bool find_layer(const struct work *by, layer_operators *to, const dense *thin,
-                       double depth) {
+static bool find_layer(const struct work *by, layer_operators *to, double depth) {
   const expansion *of = by->of;
   const int halvings = halvings_of(of, by->k, depth);
   const double step = 0.5 * ldexp(depth, -halvings);
-  if (!find_once(by, to, thin, step)) {
+  layer_relation *sum = &to->sum, *a = &to->apart, b = {by->opposite, 0};
+  if (!find_once(by, to, step, halvings) || !begin_layer(by, a, &b, sum, of->even, of->odd, step)) {
     return false;
   }
-  for (int i = 0; i < halvings; i++) {
-    double_once(by, to, &thin[0]);
-  }
-  layer_relation *sum = &to->sum, *a = &to->apart, x = {by->alike, 0}, b = {by->opposite, 0};
-  fill_relation(by, &x, of->even, 1, step);
-  fill_relation(by, &b, of->odd, -1, step);
-  if (!invert(by, &b, &b)) {
-    return false;
-  }
-  solver_layer_combine(sum, 1.2, &x, 3, &b);
-  if (!solver_layer_weigh(by->spare, a, &x, sum)) {
-    return false;
-  }
-  solver_layer_combine(a, 1, &x, -1, a);
-  solver_layer_combine(sum, 1, &x, 15, &b);
-  if (!solver_layer_weigh(by->spare, sum, &x, sum)) {
-    return false;
-  }
-  solver_layer_combine(&x, 1, &x, -1, sum);
-  solver_layer_combine(&b, 1, &b, 1.0 / 3, &x);
   int i = 0;
   for (; i < halvings && ldexp(step, i) * (1 + fn_abs(by->k)) < 0.5; i++) {
     solver_layer_combine(sum, 0.5, a, 0.5, &b);
@@ -528,28 +494,17 @@ static bool find_layer(const struct work *by, layer_operators *to, const dense *
 
 bool solver_layer_operators(layer_operators *to, const expansion *of, double complex k,
                             double kappa, double depth) {
-  const size_t n = of->n, size = solver_dense_size(n + 2, n + 2);
   struct memory memory;
-  double *more = NULL;
   bool ok = reserve(&memory, of, k);
   if (ok && isinf(depth)) {
     solver_dense_clear(&to->reflected_once);
     ok = find_halfspace(&memory.work, &to->sum, kappa) && scatter_once(&memory.work, &memory.once);
-    for (size_t row = 0; row < n; row++) {
+    for (size_t row = 0; row < of->n; row++) {
       solver_dense_put(&to->reflected_once, row, 0, solver_dense_get(&memory.once, row, 0));
     }
   } else if (ok) {
-    more = aligned_alloc(ALIGNMENT_BYTES, (THIN * 2 * size * sizeof *more + ALIGNMENT_BYTES - 1) /
-                                              ALIGNMENT_BYTES * ALIGNMENT_BYTES);
-    ok = more != NULL;
-    dense thin[THIN];
-    double *next = more;
-    for (size_t i = 0; i < THIN && ok; i++) {
-      thin[i] = solver_dense_at(of->isa, &next, n + 2, n + 2, cimag(k) != 0);
-    }
-    ok = ok && find_layer(&memory.work, to, thin, depth);
+    ok = find_layer(&memory.work, to, depth);
   }
-  free(more);
   free(memory.all);
   return ok;
 }
