@@ -20,7 +20,7 @@ deep.mco  A             1              2.08883e-01 ...
 deep.mco  A             2              5.87493e-01 ...
 deep.mco  Rd_r                0  0.05  7.52...
 
-$ sed '3s/2/1/; 5,12d' two.mci > one.mci; dipole eval --mci one.mci --tolerance 0.1 --format csv | sed -n '1p;$p'
+$ sed '3s/2/1/; 5,12d' two.mci > deep.mci; dipole eval --mci deep.mci --tolerance 0.1 --format csv | sed -n '1p;$p'
 run,quantity,layer,from,to,value,error
 deep.mco,Rd_r,,0,0.05,7.52...
 
@@ -53,6 +53,6 @@ $ sed 's/^10 2 1/10 2e9 1/' two.mci > long.mci; dipole eval --mci long.mci
 ! dipole eval: long.mci:10: give a dr above 0, and 1 to 1e5 of them
 ? 1
 
-$ sed 's/1.4 10 1/1.4 0 0/' one.mci > clear.mci; dipole eval --mci clear.mci --tolerance 0.1
+$ sed 's/1.4 10 1/1.4 0 0/' deep.mci > clear.mci; dipole eval --mci clear.mci --tolerance 0.1
 ! dipole eval: clear.mci: run deep.mco: layer 1: sigma_s: allowed: not negative, finite; not 0 where sigma_a is 0
 ? 1
