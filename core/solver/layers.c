@@ -62,18 +62,14 @@ static const struct level levels[LEVELS] = {
 enum { GRIDS_MOST = 4 };
 #define GAIN 4.0
 
+/* Layers of less depth start from the finer grids: coarse ones find no digit of R. */
+#define THIN_FINE 1.0
+
 /* Stated errors over the grids' difference. Grids share their errors more than those of a half
  * space: of 80 random stacks, R was off by up to 4.4 times the difference, and by 5.1 times far from
  * the beam where no layer is a half space. */
 #define MARGIN 5.0
 #define MARGIN_FINITE 6.0
-
-/* Where the upper medium has less depth than KINK_DEPTH, R and T have a kink where light leaves that
- * was scattered once at its other side. All grids end at wavenumbers that do not resolve it: beside
- * walks and finer grids, R was off by up to 9.5 times the difference, up to 4 thicknesses away. */
-#define KINK_DEPTH 1.0
-#define KINK_REACH 5.0
-#define MARGIN_KINK 12.5
 
 /* A layer of less depth does not cut off enough of its phase function to count. */
 #define CUT_DEPTH 0.02
@@ -138,77 +134,46 @@ static void truncate_layers(struct grid *to, const struct solver_layers *of, dou
         here->extinction * transport_decay_rate(to->moment[i], to->moments, here->medium.albedo,
                                                 layer->sigma_a_per_mm / scaled);
   }
-  solver_ways_find(&to->ways, to->layer, of->count, of->eta_below, STACK_REFLECTIONS);
+  solver_ways_find(&to->ways, to->layer, of->count, of->eta_below);
 }
 
 /* ---- decay far away ------------------------------------------------------------------------ */
 
-static double diffusion_of(const struct grid *of, const struct solver_layers *all, size_t i) {
-  const double absorbed = all->layer[i].sigma_a_per_mm * of->unit_mm;
-  const double kappa = of->layer[i].kappa;
-  const double reduced =
-      of->layer[i].extinction * (1 - of->layer[i].medium.albedo * of->moment[i][1]);
-  return kappa > 1e-6 ? absorbed / (kappa * kappa) : 1 / (3 * reduced);
-}
-
-/* Returns by how much diffusion theory misses a solution that decays at the rate c along the
- * layers: the first zero is the least rate. */
-static double missed(const struct grid *of, const struct solver_layers *all, double c) {
-  const double index = all->layer[0].eta;
-  const double inside = index > 1 ? 1 - 1 / (index * index) : 0, d0 = diffusion_of(of, all, 0);
-  double u = 2 * d0 * (1 + inside) / (1 - inside), flux = d0; /* D u' */
-  for (size_t i = 0; i < all->count; i++) {
-    const double kappa = of->layer[i].kappa, d = diffusion_of(of, all, i);
-    const double square = kappa * kappa - c * c, depth = of->layer[i].thickness;
-    if (isinf(depth)) {
-      return flux + d * sqrt(fmax(0, square)) * u;
-    }
-    const double root = sqrt(fabs(square)), x = root * depth;
-    double cosine, sine;
-    if (square > 0) {
-      if (x > 600) {
-        return 1;
-      }
-      const double e = fn_exp(x);
-      cosine = 0.5 * (e + 1 / e);
-      sine = 0.5 * (e - 1 / e);
-    } else {
-      fn_sincos(fmin(x, 1e5), &sine, &cosine);
-    }
-    const double slope = root > 0 ? sine / root : depth;
-    const double next = u * cosine + flux / d * slope;
-    flux = flux * cosine + d * u * (square > 0 ? root * sine : -root * sine);
-    u = next;
-    if (u <= 0) {
-      return -1;
-    }
+/* Sets *rate to the rate of decay along the layers: X = int R(r) J0(kr) ... rises along k = iq up to its
+ * first pole, which few functions of angle have at nearly the same place. Guided light in a thin slab
+ * decays at a third of the rate of diffusion theory. Returns false if memory runs out. */
+static bool find_rate(struct grid *to, const struct solver_layers *of, const core_isa *isa) {
+  static const expansion_rules rules = {2, 6, 3};
+  static const double step = 1.1;
+  enum { HALVINGS = 4 };
+  const size_t last = of->count - 1;
+  double most = isinf(to->layer[last].thickness) ? to->layer[last].kappa : 1, depth = 5;
+  for (size_t i = 0; i < of->count; i++) {
+    most = fmin(most, 0.8 * to->layer[i].extinction);
+    depth += isinf(to->layer[i].thickness) ? 0 : to->layer[i].extinction * to->layer[i].thickness;
   }
-  const size_t last = all->count - 1;
-  const double ratio = all->layer[last].eta / all->eta_below;
-  const double below = ratio > 1 ? 1 - 1 / (ratio * ratio) : 0, d = diffusion_of(of, all, last);
-  return u + 2 * d * (1 + below) / (1 - below) * flux / d;
-}
-
-static double rate_of(const struct grid *of, const struct solver_layers *all) {
-  const size_t last = all->count - 1;
-  double most = 1;
-  for (size_t i = 0; i < all->count; i++) {
-    most = fmin(most, 0.8 * of->layer[i].extinction);
-  }
-  most = isinf(of->layer[last].thickness) ? fmin(most, of->layer[last].kappa) : most;
-  enum { STEPS = 200, HALVINGS = 40 };
-  for (size_t i = 1; i <= STEPS; i++) {
-    double low = most * (double)(i - 1) / STEPS, high = most * (double)i / STEPS;
-    if (missed(of, all, high) > 0) {
+  to->rate = most;
+  stack *expanded = solver_stack_new(isa, &rules, to->layer, of->count, of->eta_below);
+  bool ok = expanded != NULL;
+  stack_exitance at;
+  double before = 0, below = 0;
+  for (double q = 0.1 / depth; q < step * most && ok && to->rate == most; q *= step) {
+    ok = solver_stack_at(expanded, CMPLX(0, fmin(q, most * (1 - 1e-6))), 0, &at);
+    if (creal(at.all[0]) > before) {
+      before = creal(at.all[0]);
+      below = q;
       continue;
     }
-    for (size_t j = 0; j < HALVINGS; j++) {
-      const double middle = 0.5 * (low + high);
-      *(missed(of, all, middle) > 0 ? &low : &high) = middle;
+    double above = q;
+    for (size_t i = 0; i < HALVINGS && ok; i++) {
+      const double middle = 0.5 * (below + above);
+      ok = solver_stack_at(expanded, CMPLX(0, middle), 0, &at);
+      *(creal(at.all[0]) > before ? &below : &above) = middle;
     }
-    return low;
+    to->rate = below;
   }
-  return most;
+  solver_stack_free(expanded);
+  return ok;
 }
 
 /* ---- one grid ------------------------------------------------------------------------------ */
@@ -226,6 +191,7 @@ static double rate_of(const struct grid *of, const struct solver_layers *all) {
  * its extinction, all functions of angle are as good. The half space's are of the first level that
  * is for LIKE_FINE times its largest k. */
 #define LIKE_DEPTH 0.5
+#define LIKE_DEPTH_ENDS 1.5
 #define FILM_DEPTH 0.1
 #define LIKE_FROM 1.0
 static const double like_most[LEVELS] = {8, 8, 8, 10, 12};
@@ -240,6 +206,9 @@ static const double like_most[LEVELS] = {8, 8, 8, 10, 12};
 /* From a level on, slabs, which light leaves at grazing angles, have more functions of angle, and a
  * wavenumber more on each panel. */
 enum { MORE_FROM = 2, MORE_DEGREES = 2 };
+
+/* Im k over the rate where their path starts then: their rate is a pole of their own X. */
+#define SHARE_FINITE 0.87
 
 #define NOISE_BELOW 0.9
 #define NOISE_RISES 1.3
@@ -262,14 +231,17 @@ static double depth_from(const struct grid *of, const struct solver_layers *all,
   return depth;
 }
 
-/* Returns the first layer that is LIKE_DEPTH deep or more, if those above are a film of the same
- * index and no more extinction, in which light is scattered back from nearer; else the number of
- * layers. */
+/* Returns the first layer that is LIKE_DEPTH deep or more (LIKE_DEPTH_ENDS where light is reflected
+ * below), if those above are a film of the same index and no more extinction, in which light is
+ * scattered back from nearer; else the number of layers. */
 static size_t find_like(const struct grid *of, const struct solver_layers *all) {
   double above = 0;
   for (size_t i = 0; i < all->count && above < FILM_DEPTH && all->layer[i].eta == all->layer[0].eta;
        i++) {
-    if (depth_from(of, all, i) >= LIKE_DEPTH) {
+    const size_t last = all->count - 1;
+    const bool ends =
+        all->layer[last].eta != all->layer[0].eta || isfinite(of->layer[last].thickness);
+    if (depth_from(of, all, i) >= (ends ? LIKE_DEPTH_ENDS : LIKE_DEPTH)) {
       return i == 0 || of->layer[i].extinction >= 1 ? i : all->count;
     }
     above += of->layer[i].extinction * of->layer[i].thickness;
@@ -277,31 +249,36 @@ static size_t find_like(const struct grid *of, const struct solver_layers *all) 
   return all->count;
 }
 
-static void place_wavenumbers(struct grid *to, const struct solver_layers *of,
+static bool place_wavenumbers(struct grid *to, const struct solver_layers *of, const core_isa *isa,
                               const struct level *by) {
   double least = 1, all_least = 1, depth = 0, resolved = (double)INFINITY;
   for (size_t i = 0; i < of->count; i++) {
     const double s = to->layer[i].extinction;
     all_least = fmin(all_least, s);
     if (i == 0 || (2 * depth < 7 && s * to->layer[i].thickness > 0.02)) {
-      resolved = fmin(resolved, (i + 1 == of->count ? RESOLVED_LAST : RESOLVED) * s);
+      const double thick = fmin(1, s * to->layer[i].thickness);
+      resolved = fmin(resolved, (i + 1 == of->count ? RESOLVED_LAST : RESOLVED) * s / thick);
       least = fmin(least, s);
     }
     depth += s * to->layer[i].thickness;
   }
   const double most = by->tier[TIERS - 1].k_most;
-  /* Where the first layer is thin, or all together are, X reaches its limit later. */
-  const bool thin = depth_from(to, of, 0) < THIN || depth < THIN_ALL;
-  double last = fmax(4, fmin(resolved, (thin ? 2 : 1) * most)), last_above = last;
+  /* Where the first layer is thin, or all together are, X reaches its limit later: at some 14 over the
+   * thickness, as far as the functions of angle resolve how light is scattered. */
+  const double first = depth_from(to, of, 0);
+  const double round = 1 - fabs(to->layer[0].g);
+  const double thin =
+      first < THIN || depth < THIN_ALL ? THIN * (1 + round * round * (1 / fmin(1, first) - 1)) : 1;
+  double last = fmax(4, fmin(resolved, thin * most)), last_above = last;
   to->layered_most = last;
   to->like = find_like(to, of);
   if (to->like < of->count) {
     const double s = to->layer[to->like].extinction;
     last_above = most * s;
     if (to->like == 0) {
-      const double alike = fmin(last, fmax(s, like_most[by - levels] * s / depth_from(to, of, 0)));
-      to->layered_most = fmin(alike, most * s);
-      last_above = by < &levels[MORE_FROM] ? fmax(last_above, alike) : last_above;
+      const double alike = fmin(last, fmax(s, like_most[by - levels] * s / first));
+      to->layered_most = first < 1 ? alike : fmin(alike, most * s);
+      last_above = first < 1 || by < &levels[MORE_FROM] ? fmax(last_above, alike) : last_above;
     }
     last = of->sides > 1 ? fmax(last, last_above) : last_above;
   }
@@ -311,14 +288,17 @@ static void place_wavenumbers(struct grid *to, const struct solver_layers *of,
                     ? last_above
                     : fmin(by->tier[tier].k_most * (of->sides > 1 ? all_least : least), last);
   }
-  to->rate = rate_of(to, of);
+  if (!find_rate(to, of, isa)) {
+    return false;
+  }
   to->rate = to->rate < PATH_RATE_LEAST ? 0 : to->rate;
   /* R's panels end where R needs no more, T has further ones: K, whose error grids of the same K
    * share, is another one on each grid. */
   exitance_grid *above = &to->wavenumbers[0], *below = &to->wavenumbers[1];
   const double rises = of->sides == 1 && to->rate > 0 ? RISES : 1;
+  const double share = of->sides > 1 && by >= &levels[MORE_FROM] ? SHARE_FINITE : by->share;
   const size_t nodes = by->nodes + (of->sides > 1 && by >= &levels[MORE_FROM]);
-  solver_exitance_place(above, NULL, to->rate, by->share, rises * all_least, nodes, end);
+  solver_exitance_place(above, NULL, to->rate, share, rises * all_least, nodes, end);
   *below = *above;
   while (below->tier_end[TIERS - 1] < last) {
     const double next = 2 * below->tier_end[TIERS - 1];
@@ -327,6 +307,7 @@ static void place_wavenumbers(struct grid *to, const struct solver_layers *of,
         CMPLX(below->tier_end[TIERS - 1], cimag(below->point[below->panels]));
     below->panels++;
   }
+  return true;
 }
 
 /* k^2 T falls from its peak on, where it crosses thick layers as e^(-k thickness). Where it rises
@@ -444,7 +425,7 @@ static bool solve_tier(const struct grid *of, const struct solver_layers *all, c
       expanded = expanded != NULL
                      ? expanded
                      : solver_stack_new(isa, &rules, of->layer, all->count, all->eta_below);
-      ok = expanded != NULL && solver_stack_at(expanded, k, &at);
+      ok = expanded != NULL && solver_stack_at(expanded, k, of->ways.reflections_most, &at);
       for (size_t side = 0; side < SIDES && ok; side++) {
         values[side * nodes + node] = at.all[side] - at.once[side];
       }
@@ -470,7 +451,9 @@ static bool solve_tier(const struct grid *of, const struct solver_layers *all, c
 static bool solve_grid(struct grid *to, const struct solver_layers *of, const core_isa *isa,
                        const struct level *by, const atomic_bool *stop) {
   truncate_layers(to, of, by->moment_least, by->moments_most);
-  place_wavenumbers(to, of, by);
+  if (!place_wavenumbers(to, of, isa, by)) {
+    return false;
+  }
   const size_t nodes = solver_exitance_end(&to->wavenumbers[1], TIERS - 1);
   double complex *values = calloc((SIDES + 1) * nodes, sizeof *values);
   bool ok = values != NULL;
@@ -567,19 +550,10 @@ core_fault solver_layers_check(const solver_layer *layer, size_t count, double e
 /* Below this many times 1 / K, R and T are made of waves beyond K, which both grids guess. */
 #define GUESSED 4.0
 
-/* Returns the radius, in units of the grid, up to which the margin is MARGIN_KINK; 0 if the upper medium
- * is deep. */
-static double kink_reach(const solver_layers *of) {
-  const struct grid *fine = of->grid[0];
-  const double depth = depth_from(fine, of, 0);
-  return depth < KINK_DEPTH ? KINK_REACH * depth / fine->layer[0].extinction : 0;
-}
-
 /* Compares the two grids, and sets the largest relative errors of R and T at radii that a tolerance
  * is for. */
 static void find_errors(solver_layers *of, double worst[SIDES]) {
   const struct grid *fine = of->grid[0];
-  const double kink = kink_reach(of);
   double margin = of->sides > 1 ? MARGIN_FINITE : MARGIN;
   for (size_t i = 0; i < of->count; i++) {
     const stack_layer *layer = &fine->layer[i];
@@ -601,8 +575,8 @@ static void find_errors(solver_layers *of, double worst[SIDES]) {
     for (size_t i = SOLVER_ERROR_RADII; i-- > 0; r /= SOLVER_ERROR_RATIO) {
       const double r_mm = r * of->radius_mm, units = r_mm / fine->unit_mm;
       const double value = value_at(fine, side, r_mm, &size);
-      const double error = solver_error_between(units < kink ? fmax(margin, MARGIN_KINK) : margin,
-                                                value, value_at(of->grid[1], side, r_mm, &size));
+      const double error =
+          solver_error_between(margin, value, value_at(of->grid[1], side, r_mm, &size));
       above = fmax(error, units < guessed ? above : 0);
       of->error[side][i] = above;
       const bool decays = units * fine->rate >= DECAYS_MOST;
@@ -659,7 +633,11 @@ core_fault solver_layers_solve(solver_layers **solution, const core_isa *isa,
   }
   solver_layers *made = new_solution(layer, count, eta_below);
   bool ok = made != NULL;
-  const size_t first = tolerance < 3e-3 ? 2 : 0;
+  double depth = 0;
+  for (size_t i = 0; i < count; i++) {
+    depth += (layer[i].sigma_a_per_mm + layer[i].sigma_s_per_mm) * layer[i].thickness_mm;
+  }
+  const size_t first = tolerance < 3e-3 || depth < THIN_FINE ? 2 : 0;
   const size_t end = first == 0 ? GRIDS_MOST : LEVELS;
   double worst[SIDES] = {INFINITY, INFINITY}, before[SIDES];
   bool hopes = true;
@@ -672,12 +650,10 @@ core_fault solver_layers_solve(solver_layers **solution, const core_isa *isa,
       for (size_t i = level + 1; i < end; i++) {
         most *= GAIN;
       }
-      /* a wider margin does not say that errors fall less */
-      const double promise = kink_reach(made) > 0 ? MARGIN / MARGIN_KINK : 1;
       hopes = false;
       for (size_t side = 0; side < made->sides; side++) {
-        hopes |= worst[side] * promise < most &&
-                 solver_goes_on(level + 1, worst[side], before[side], tolerance);
+        hopes |=
+            worst[side] < most && solver_goes_on(level + 1, worst[side], before[side], tolerance);
       }
     }
   }
@@ -782,7 +758,7 @@ static bool find_balance(const solver_layers *of, const core_isa *isa, size_t de
     }
     const expansion_rules rules = {0, degrees, 3};
     stack *expanded = solver_stack_new(isa, &rules, grid->layer, of->count, of->eta_below);
-    ok = expanded != NULL && solver_stack_at(expanded, 0, &at);
+    ok = expanded != NULL && solver_stack_at(expanded, 0, 0, &at);
     solver_stack_free(expanded);
   }
   for (size_t side = 0; side < SOLVER_SIDES && ok; side++) {

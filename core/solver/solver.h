@@ -134,8 +134,8 @@ core_fault solver_layers_check(const solver_layer *layer, size_t count, double e
 /* Solves layers, from the top down, on which a pencil beam falls at right angles. Finer and finer
  * grids, at most four, are solved until two of them agree within the tolerance, relative, from 0.05
  * reduced mean free paths of the first layer on, or do not promise to. What holds is the error
- * beside each value: it is large for slabs thinner than half a mean free path at all radii, and for
- * T near the axis behind layers of many mean free paths. With AVX-512, two layers of skin take some
+ * beside each value: it is large for slabs thinner than a mean free path that scatter forwards, and
+ * for T near the axis behind layers of many mean free paths. With AVX-512, two layers of skin take some
  * 0.25 s of a processor for a tolerance of 1e-2 and 1.3 s for 1e-3. count: 1 to SOLVER_LAYERS_MAX.
  * eta_below: the index below a last layer of finite thickness over that above all,
  * in the range of eta. stop: NULL, or set by any thread. Faults: those of solver_layers_check(),

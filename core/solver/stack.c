@@ -552,11 +552,11 @@ static void sweep_up(const struct work *by, size_t q, size_t now) {
 
 /* Light at a head or a foot is what passes the step there and what the step reflects, which counts as
  * one reflection more. Beams on their way up are known after the second sweep. */
-static void scatter_once(const struct work *by, stack_exitance *exitance) {
+static void scatter_once(const struct work *by, unsigned reflections, stack_exitance *exitance) {
   const stack *of = by->of;
   const size_t last = of->count - 1;
   exitance->once[0] = exitance->once[1] = 0;
-  for (size_t q = 0; q <= STACK_REFLECTIONS; q++) {
+  for (size_t q = 0; q <= reflections; q++) {
     const size_t now = q % 2;
     for (size_t i = 0; i < of->count; i++) {
       solver_dense_clear(&by->once[i].foot_up);
@@ -621,7 +621,8 @@ static void lay_out(struct work *to, const stack *of, double *at) {
   }
 }
 
-bool solver_stack_at(const stack *of, double complex k, stack_exitance *exitance) {
+bool solver_stack_at(const stack *of, double complex k, unsigned reflections,
+                     stack_exitance *exitance) {
   struct work *work = calloc(1, sizeof *work);
   double *memory = NULL;
   bool ok = work != NULL;
@@ -642,7 +643,7 @@ bool solver_stack_at(const stack *of, double complex k, stack_exitance *exitance
   }
   ok = ok && descend(work, k, exitance);
   if (ok) {
-    scatter_once(work, exitance);
+    scatter_once(work, reflections, exitance);
   }
   free(memory);
   free(work);

@@ -8,7 +8,7 @@
 
 #include "core/solver/level.h"
 
-enum { STACK_REFLECTIONS = 1 };
+enum { STACK_REFLECTIONS_MAX = 24 };
 
 /* One layer after its phase function has been truncated. */
 typedef struct stack_layer {
@@ -32,7 +32,7 @@ void solver_stack_free(stack *of);
 /* What leaves a stack, Fourier transformed over the plane, per power that has entered. */
 typedef struct stack_exitance {
   /* Above and below. all: light that was scattered; once: that part of it that was scattered once,
-   * and reflected inside at most STACK_REFLECTIONS times; beam: light that was not scattered. */
+   * and reflected inside at most `reflections` times; beam: light that was not scattered. */
   double complex all[2], once[2], beam[2];
   /* Net downward flux at the upper and the lower face of each layer. Over a half space it is known for
    * k = 0 alone. */
@@ -41,7 +41,8 @@ typedef struct stack_exitance {
 
 /* Sets *exitance at one wavenumber k, which is not 0 if the last layer is a half space without
  * absorption. Returns false if memory runs out or an equation is singular. */
-bool solver_stack_at(const stack *of, double complex k, stack_exitance *exitance);
+bool solver_stack_at(const stack *of, double complex k, unsigned reflections,
+                     stack_exitance *exitance);
 
 /* Sets *exitance to the light that leaves, scattered more than once, a half space of the medium of
  * layer `i`, whose index is that of the first one. k: not 0. Returns false as above. */

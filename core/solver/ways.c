@@ -23,17 +23,16 @@ static double index_of(const ways *of, ptrdiff_t layer) {
 /* ---- finding the ways by which light leaves -------------------------------------------------- */
 
 /* Follows light upwards or downwards from a boundary of a layer, and records each way by which it
- * leaves. */
+ * leaves, as far as there is room. */
 static void follow_light(ways *to, ways_path at, size_t layer, bool upwards) {
   const size_t boundary = layer + !upwards;
-  if (isinf(to->layer[layer].thickness) && !upwards) {
+  if ((isinf(to->layer[layer].thickness) && !upwards) || to->count == WAYS_MAX) {
     return; /* it meets no further boundary */
   }
   const ptrdiff_t next = (ptrdiff_t)layer + (upwards ? -1 : 1);
   ways_path passed = at;
   passed.through[boundary]++;
   if (next < 0 || (size_t)next == to->layers) {
-    assert(to->count < WAYS_MAX);
     passed.side = next < 0 ? 0 : 1;
     to->way[to->count++] = passed;
   } else {
@@ -80,25 +79,52 @@ static void find_beams(ways *to) {
       to->up[i][q] = up[i];
     }
   }
-  for (size_t i = 0; i < to->layers && to->reflections_most > 0; i++) {
-    to->down[i][1] += to->down[i][0];
-    to->up[i][1] += to->up[i][0];
+  for (size_t i = 0; i < to->layers; i++) {
+    for (unsigned q = 1; q <= to->reflections_most; q++) {
+      to->down[i][q] += to->down[i][q - 1];
+      to->up[i][q] += to->up[i][q - 1];
+    }
   }
 }
 
-void solver_ways_find(ways *to, const stack_layer *layer, size_t layers, double below,
-                      unsigned reflections) {
-  assert(layers >= 1 && layers <= SOLVER_LAYERS_MAX && reflections <= 1);
-  memset(to, 0, sizeof *to);
-  to->layer = layer;
-  to->layers = layers;
-  to->index_below = below;
-  to->reflections_most = reflections;
-  find_beams(to);
+/* Light of a way with more reflections, which has crossed a thin layer more often, has a kink in r where
+ * it leaves at the critical angle. Ways that cross a depth of CROSSED, or more than WAYS_MANY, do not
+ * count, but for one reflection. */
+#define CROSSED 5.0
+enum { WAYS_MANY = 64 };
+
+/* Returns the least depth of adjacent layers of one index. */
+static double least_depth(const stack_layer *layer, size_t layers) {
+  double least = (double)INFINITY, depth = 0;
   for (size_t i = 0; i < layers; i++) {
-    follow_light(to, (ways_path){.layer = i, .upwards = true}, i, true);
-    follow_light(to, (ways_path){.layer = i, .upwards = false}, i, false);
+    depth += layer[i].extinction * layer[i].thickness;
+    if (i + 1 == layers || layer[i + 1].index != layer[i].index) {
+      least = fmin(least, depth);
+      depth = 0;
+    }
   }
+  return least;
+}
+
+void solver_ways_find(ways *to, const stack_layer *layer, size_t layers, double below) {
+  assert(layers >= 1 && layers <= SOLVER_LAYERS_MAX);
+  const double crossings = CROSSED / least_depth(layer, layers);
+  unsigned reflections =
+      crossings < STACK_REFLECTIONS_MAX ? (unsigned)crossings : STACK_REFLECTIONS_MAX;
+  reflections = reflections > 1 ? reflections : 1;
+  do {
+    memset(to, 0, sizeof *to);
+    to->layer = layer;
+    to->layers = layers;
+    to->index_below = below;
+    to->reflections_most = reflections;
+    for (size_t i = 0; i < layers; i++) {
+      follow_light(to, (ways_path){.layer = i, .upwards = true}, i, true);
+      follow_light(to, (ways_path){.layer = i, .upwards = false}, i, false);
+    }
+  } while (to->count > WAYS_MANY && reflections-- > 1);
+  assert(to->count < WAYS_MAX);
+  find_beams(to);
 }
 
 /* ---- values ----------------------------------------------------------------------------------------- */

@@ -27,14 +27,14 @@ typedef struct ways {
   unsigned reflections_most;
   /* the beams on their way down at a layer's head, and up at its foot, with so many reflections or
    * fewer */
-  double down[SOLVER_LAYERS_MAX][2], up[SOLVER_LAYERS_MAX][2];
+  double down[SOLVER_LAYERS_MAX][STACK_REFLECTIONS_MAX + 1],
+      up[SOLVER_LAYERS_MAX][STACK_REFLECTIONS_MAX + 1];
   ways_path way[WAYS_MAX];
 } ways;
 
-/* Sets *to to all ways with at most `reflections` of them, 0 or 1, together with the beam's. below: the
- * index below over that above. layer: kept as it is. */
-void solver_ways_find(ways *to, const stack_layer *layer, size_t layers, double below,
-                      unsigned reflections);
+/* Sets *to to all ways with at most so many reflections, together with the beam's, as count in layers
+ * of these depths. below: the index below over that above. layer: kept as it is. */
+void solver_ways_find(ways *to, const stack_layer *layer, size_t layers, double below);
 
 /* Returns R (side 0) or T (side 1) of light scattered once, at the radius r > 0, per squared unit
  * of length and per power that entered. */
