@@ -550,11 +550,18 @@ core_fault solver_layers_check(const solver_layer *layer, size_t count, double e
 /* Below this many times 1 / K, R and T are made of waves beyond K, which both grids guess. */
 #define GUESSED 4.0
 
+/* Under an upper medium of less depth, so many radii are compared from each stated one to the next. */
+#define THIN_GUIDES 1.0
+enum { SAMPLES = 4 };
+#define SAMPLES_RATIO 1.0973 /* SOLVER_ERROR_RATIO^(1/4) */
+
 /* Compares the two grids, and sets the largest relative errors of R and T at radii that a tolerance
  * is for. */
 static void find_errors(solver_layers *of, double worst[SIDES]) {
   const struct grid *fine = of->grid[0];
   double margin = of->sides > 1 ? MARGIN_FINITE : MARGIN;
+  /* Where a thin layer guides waves beyond K, the grids' difference oscillates with the radius. */
+  const size_t samples = depth_from(fine, of, 0) < THIN_GUIDES ? SAMPLES : 1;
   for (size_t i = 0; i < of->count; i++) {
     const stack_layer *layer = &fine->layer[i];
     const solver_phase phase = {.g = layer->g};
@@ -574,9 +581,12 @@ static void find_errors(solver_layers *of, double worst[SIDES]) {
     worst[side] = of->floor[1];
     for (size_t i = SOLVER_ERROR_RADII; i-- > 0; r /= SOLVER_ERROR_RATIO) {
       const double r_mm = r * of->radius_mm, units = r_mm / fine->unit_mm;
-      const double value = value_at(fine, side, r_mm, &size);
-      const double error =
-          solver_error_between(margin, value, value_at(of->grid[1], side, r_mm, &size));
+      double error = 0, between = r_mm;
+      for (size_t j = 0; j < samples; j++, between *= SAMPLES_RATIO) {
+        const double value = value_at(fine, side, between, &size);
+        const double other = value_at(of->grid[1], side, between, &size);
+        error = fmax(error, solver_error_between(margin, value, other));
+      }
       above = fmax(error, units < guessed ? above : 0);
       of->error[side][i] = above;
       const bool decays = units * fine->rate >= DECAYS_MOST;
