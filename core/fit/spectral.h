@@ -32,6 +32,7 @@ enum {
  * (a .2, b -.5) to the property's most (haemoglobin that of whole blood, a 10, b 4). */
 typedef struct core_sought {
   uint32_t property;
+  uint32_t zero;
   double low, high;
 } core_sought;
 

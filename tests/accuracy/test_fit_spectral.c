@@ -79,7 +79,7 @@ static void prepare(struct instrument *of) {
     const number *one = &of->terms[k];
     spectral.tissue.value[properties[k]] = one->start;
     if (one->high > one->low) {
-      list[spectral.sought_count++] = (core_sought){properties[k], one->low, one->high};
+      list[spectral.sought_count++] = (core_sought){properties[k], 0, one->low, one->high};
     }
   }
   unit_assert_fault(core_fit_create(&of->fit, core_isa_select(NULL), &design), NULL, 0);

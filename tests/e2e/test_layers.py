@@ -202,5 +202,5 @@ def test_a_deadline_ends_the_wait_for_a_stack(daemon):
 
 def test_a_slab_whose_light_is_not_found_is_refused(daemon):
     with daemon("--workers", "1").client() as client, pytest.raises(Refused) as refused:
-        client.eval("transport", Medium(1.0, 10.0, 0.5, 1.4, 0.1), R_MM, evaluator="f64")
+        client.eval("transport", Medium(1.0, 10.0, 0.95, 1.4, 0.1), R_MM, evaluator="f64")
     assert refused.value.field == "thickness"

@@ -254,7 +254,7 @@ def test_a_loss_while_much_is_being_sent(restarted):  # noqa: F811
             expected = (await client.eval("better", SKIN, radii)).R
             calls = [asyncio.create_task(client.eval("better", SKIN, radii)) for _ in range(40)]
             await asyncio.sleep(0)
-            await asyncio.to_thread(restarted.kill)
+            await asyncio.to_thread(restarted.end, "kill")
             for result in await asyncio.gather(*calls):
                 assert (result.R == expected).all()
 
