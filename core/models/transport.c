@@ -1048,9 +1048,10 @@ static void set_errors(const struct source *source, const struct panels *panels,
 }
 
 /* A solution loses its digits far away, that of a half space where g is near -1. It is used up to the
- * largest radius where its relative error is at most DIGITS_LEFT, or where there is none, DIGITS_LEAST
- * (thin slabs), which is no smaller than the end by MUCH_NEARER. Beyond, R is not known: the error grows
- * to infinity within 8 % of the radius. */
+ * largest radius, no smaller than the end by MUCH_NEARER, where its relative error is at most
+ * DIGITS_LEFT, or DIGITS_LEAST where there is none (thin slabs); of a half space, which is stated
+ * whatever its error, DIGITS_LEFT_HALF. Beyond, R is not known: the error grows to infinity within 8 %
+ * of the radius. */
 #define DIGITS_LEFT 0.0625
 #define DIGITS_LEFT_HALF 0.5
 #define DIGITS_LEAST 0.16
