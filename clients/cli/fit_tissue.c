@@ -511,8 +511,9 @@ static int fit_rows(report *of, dipole_client *client, const cli_image *images,
 /* Writes OUT.pfm as OUT.hbo2_uM.pfm, OUT.hbo2_uM_error.pfm and so on. */
 static bool write_map(const report *of, const char *name, const char *what, size_t i) {
   const char *out = of->settings->output;
-  char file[4096];
-  snprintf(file, sizeof file, "%.*s%s%s.pfm", (int)strlen(out) - 3, out, name, what);
+  const size_t bytes = strlen(out) + strlen(name) + strlen(what) + sizeof ".pfm";
+  char *file = cli_allocate(bytes, 1);
+  snprintf(file, bytes, "%.*s%s%s.pfm", (int)strlen(out) - 3, out, name, what);
   return cli_image_write(file, &of->maps->images[i]);
 }
 

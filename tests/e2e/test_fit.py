@@ -52,9 +52,9 @@ def test_eta_has_to_be_given_and_g_is_shown(client, readings):
         client.fit("better", AT_MM, readings, 0.01 * readings)
     found = client.fit("better", AT_MM, readings, 0.01 * readings, eta=1.4)
     assert (found.g, found.eta, found.g_is_default) == (0, 1.4, True)
-    assert "g 0 (default), eta 1.4" in repr(found)
+    assert "g 0; g_is_default True; eta 1.4" in repr(found)
     found = client.fit("better", AT_MM, readings, 0.01 * readings, eta=1.4, g=0.5)
-    assert "g 0.5, eta 1.4" in repr(found) and not found.g_is_default
+    assert "g 0.5; g_is_default False; eta 1.4" in repr(found) and not found.g_is_default
 
 
 def test_a_free_factor_and_a_reference(client, readings):
@@ -78,7 +78,7 @@ def test_shapes(client, readings):
     one = client.fit("better", AT_MM, image[2, 1], 0.02 * image[2, 1], eta=1.4, residuals=True)
     assert one.sets.tobytes() == found.sets[2, 1].tobytes()
     np.testing.assert_array_equal(one.residuals, found.residuals[2, 1])
-    assert "12 fitted" in repr(found) and "1 fitted" in repr(one)
+    assert "counts fitted 12;" in repr(found) and one.counts == {"fitted": 1}
     empty = client.fit("better", AT_MM, np.empty((2, 1, 6)), 1.0, eta=1.4)
     assert empty.sets.shape == (2, 1)
     for values, at, errors in ((1.0, [1.0], 1.0), (image, [1, 2], 1), (image, AT_MM, [1.0, 2.0])):

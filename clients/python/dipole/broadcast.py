@@ -15,12 +15,13 @@ from .arguments import media_array
 from .session import Session
 from .errors import ArgumentError, naming
 from .exchange import Request
-from .values import Array, EvaluatorOptions, Info, Media, Query, Result, Stack, counted, in_short, span
+from .values import Array, EvaluatorOptions, Info, Media, Query, Result, Stack, shows
 
 # Number of queries that wait for replies at a time: enough to keep the daemon busy all the time.
 OUTSTANDING = 64
 
 
+@shows("models", "values", "numerical_error", "model_error")
 class Values(NamedTuple):
     """The values of one quantity. All arrays have the broadcast shape of media and radii."""
 
@@ -28,13 +29,6 @@ class Values(NamedTuple):
     numerical_error: Array  # relative error of each value against the model's exact formula
     model_error: Array  # relative error of the model against transport; NaN: not solved
     models: tuple[str, ...]  # the models used: one, unless the tolerance chose several
-
-    def __repr__(self) -> str:
-        return in_short(
-            f"<Values: {', '.join(self.models)}; {counted(self.values.size, 'value', 'values')} of "
-            f"shape {self.values.shape}, {span(self.values)}",
-            f"numerical_error {span(self.numerical_error)}, model_error {span(self.model_error)}>",
-        )
 
 
 async def values(

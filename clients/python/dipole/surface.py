@@ -12,7 +12,7 @@ import numpy as np
 from . import wire
 from .errors import ArgumentError, naming
 from .library import Fetched, address, bytes_of, call, library
-from .values import Array, Info, in_short
+from .values import Array, Info, shows
 
 _LENGTHS = {
     "mean-free-path": 1, "diffuse-mean-free-path": 2, "classical-diffuse-path": 3,
@@ -70,6 +70,7 @@ class Coefficients(NamedTuple):
     scattered: Array  # sigma_s / (sigma_a + sigma_s), the albedo of a random walk
 
 
+@shows("model", "evaluator", "g", "eta", "numerical_error")
 class Surface(Fetched):
     """Evaluates R, cdf, pdf, 2 pi r R and the radius for a cdf, where every value has a medium of
     its own, and finds media of colours.
@@ -89,12 +90,6 @@ class Surface(Fetched):
         # Relative, the largest of all values.
         self.numerical_error: float = self._fixed.numerical_error
         self._type: Any = np.float32 if evaluator == "f32" else np.float64
-
-    def __repr__(self) -> str:
-        return in_short(
-            f"<Surface: {self.model}, {self.evaluator}; g {self.g:.3g}, eta {self.eta:.4g}",
-            f"numerical error {self.numerical_error:.2g}, {len(self.data)} bytes>",
-        )
 
     def __reduce__(self) -> tuple[Any, ...]:
         return type(self), (self.data, self._info, self.evaluator)

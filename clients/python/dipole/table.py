@@ -13,7 +13,7 @@ from . import wire
 from .arguments import names_of
 from .errors import ArgumentError, TableError
 from .library import Fetched, address, bytes_of, frame_bytes, library, succeeds
-from .values import Array, Info, Medium, in_short, span
+from .values import Array, Info, Medium, shows
 
 _QUANTITIES = {name: wire.QUANTITIES[name] for name in ("R", "albedo", "cdf", "pdf", "2_pi_r_R", "S")}
 
@@ -36,6 +36,7 @@ class TableErrors(NamedTuple):
     model_error: float  # error of the model against radiative transport; NaN if not known
 
 
+@shows("model", "medium", "albedo", "numerical_error_constant", "model_error")
 class Table(Fetched):
     """Looks up one medium's R, cdf, pdf, 2 pi r R, and the radius for a given cdf.
 
@@ -64,14 +65,6 @@ class Table(Fetched):
         self.radius_least_mm: float = fixed.radius_least  # the least radius that the model covers
         self.radius_most_mm: float = fixed.radius_most  # the largest radius that the model covers
         self.words: Array = np.frombuffer(data, "<u4", -1, len(data) - 4 * fixed.word_count)
-
-    def __repr__(self) -> str:
-        medium = ", ".join(f"{key} {value:.6g}" for key, value in self.medium._asdict().items())
-        return in_short(
-            f"<Table: {self.model}; {medium}",
-            f"albedo {self.albedo:.4g}, numerical error {self.numerical_error_constant:.2g}, "
-            f"model_error {span(self._fixed.model_errors)}, {len(self.data)} bytes>",
-        )
 
     @classmethod
     def load(cls, source: str | os.PathLike[str] | bytes, info: Info | None = None) -> Table:

@@ -7,9 +7,9 @@ Lengths are in mm and coefficients in 1/mm. In the shapes of arrays, C is the nu
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass
-from typing import Any, NamedTuple, TypedDict, Union
+from typing import Any, NamedTuple, TypedDict, TypeVar, Union
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,15 +17,7 @@ from numpy.typing import NDArray
 from . import wire
 
 Array = NDArray[Any]
-
-_LINE_MOST = 100  # columns of a line that describes an object
-
-
-def in_short(*lines: str) -> str:
-    """Makes the repr of an object: at most three lines, of which each fits a terminal."""
-    assert len(lines) <= 3
-    return "\n  ".join(textwrap.shorten(line, _LINE_MOST, placeholder=" ...") for line in lines)
-
+T = TypeVar("T")
 
 def span(array: Any) -> str:
     """Describes numbers by the least and the largest of them."""
@@ -37,8 +29,28 @@ def span(array: Any) -> str:
     return low if low == high else f"{low} to {high}"
 
 
-def counted(count: int, one: str, several: str) -> str:
-    return f"{count} {one if count == 1 else several}"
+def _text(value: Any) -> str:
+    if isinstance(value, Mapping):
+        return ", ".join(f"{name} {_text(one)}" for name, one in value.items())
+    if isinstance(value, np.ndarray) and value.ndim:
+        return f"{list(value.shape)} {'' if value.dtype.names else span(value)}".strip()
+    return f"{value:.4g}" if isinstance(value, (float, np.ndarray)) else str(value)
+
+
+def shows(*names: str) -> Callable[[type[T]], type[T]]:
+    """Makes the repr of a class: these attributes of an object, in at most three lines that fit a
+    terminal. Arrays are shown by their shape and range."""
+
+    def describe(one: Any) -> str:
+        listed = "; ".join(f"{name} {_text(getattr(one, name))}" for name in names)
+        text = f"<{type(one).__name__}: {listed}>"
+        return textwrap.fill(text, 100, subsequent_indent="  ", max_lines=3, placeholder=" ...")
+
+    def add(to: type[T]) -> type[T]:
+        setattr(to, "__repr__", describe)  # noqa: B010  (mypy rejects the attribute)
+        return to
+
+    return add
 
 
 def whole(number: Any) -> Any:
@@ -191,6 +203,7 @@ class Choice(NamedTuple):
     about: str  # source of a model, unit of a quantity, or meaning
 
 
+@shows("software", "address", "instruction_set", "protocol_version", "workers")
 @dataclass(frozen=True, repr=False)
 class Info:
     """A daemon's description of itself: its reply to hello."""
@@ -203,16 +216,6 @@ class Info:
     workers: int
     choices: dict[str, dict[str, Choice]]  # by kind and name, as choices["model"]["better"]
     limits: dict[str, int]  # limits by name; a name ends in its unit, as max_frame_bytes
-
-    def __repr__(self) -> str:
-        lists = ", ".join(f"{kind} {len(names)}" for kind, names in self.choices.items())
-        return in_short(
-            f"<Info: {self.software} at {self.address}, {self.instruction_set}, protocol "
-            f"{self.protocol_version}, {counted(self.workers, 'worker', 'workers')}",
-            f"limits: {len(self.limits)}, of them max_frame_bytes "
-            f"{self.limits.get('max_frame_bytes')}",
-            f"choices: {lists}>",
-        )
 
 
 class Errors(NamedTuple):
@@ -238,23 +241,13 @@ class Offer(NamedTuple):
     prepare_ns: float  # time to prepare one medium, as measured once on one machine
 
 
+@shows("taken", "offers")
 class Offers(NamedTuple):
     """The models and evaluators that could evaluate a query, cheapest first: by prepare_ns + cost_ns
     for each radius and wanted quantity."""
 
     offers: tuple[Offer, ...]
     taken: Offer | None  # the offer that eval() would take; None if no offer meets the tolerance
-
-    def __repr__(self) -> str:
-        taken = self.taken
-        if taken is None:
-            return f"<Offers: {len(self.offers)}, of which none meets the tolerance>"
-        return in_short(
-            f"<Offers: {len(self.offers)}, of which {sum(one.meets for one in self.offers)} meet "
-            "the tolerance",
-            f"taken: {taken.model} by {taken.evaluator}, error {taken.error:.3g}, "
-            f"{taken.cost_ns:.3g} ns a value, {taken.prepare_ns:.3g} ns to prepare a medium>",
-        )
 
 
 class _Quantity(property):
@@ -277,7 +270,8 @@ class _Root(_Quantity):
         return found if result is None else np.asarray(np.sqrt(found))
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@shows("model", "evaluator", "quantities", "model_error", "notes")
+@dataclass(frozen=True, eq=False)
 class _Evaluated:
     """The fields that Result and Samples share.
 
@@ -337,16 +331,6 @@ class _Evaluated:
             raise AttributeError(f"{name}: was not wanted. The result has: {found}")
         return self.quantities[name]
 
-    def _in_short(self, radii: str) -> str:
-        listed = (f"{name} {span(array)}" for name, array in self.quantities.items() if name not in ("r", "balance"))
-        notes = f"; notes: {', '.join(self.notes)}" if self.notes else ""
-        channels = counted(len(self.model_error), "medium", "media")
-        return in_short(
-            f"<{type(self).__name__}: {self.model} by {self.evaluator}; {channels}, {radii}",
-            ", ".join(listed),
-            f"model_error {span(self.model_error)}{notes}>",
-        )
-
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Result(_Evaluated):
@@ -377,15 +361,6 @@ class Result(_Evaluated):
         constant: Array = constants.reshape((-1,) + (1,) * radii.ndim)
         return constant + growth
 
-    def __repr__(self) -> str:
-        r = self.quantities.get("r")
-        if r is None:
-            return self._in_short("a grid of radii")
-        by_f = all(name.endswith("_f") for name in self.values.keys() - {"model_errors"})
-        one, several, unit = ("frequency", "frequencies", "1/mm") if by_f else ("radius", "radii", "mm")
-        listed = f", {span(r)} {unit}" if r.size else ""
-        return self._in_short(counted(r.size, one, several) + listed)
-
 
 class Draw(NamedTuple):
     """`count` numbers u between 0 and 1 by a rule. Number i, for i from 0 to count - 1, is
@@ -414,11 +389,9 @@ class Samples(_Evaluated):
         "[C, N] mm. A point at this distance in any direction has the density pdf / (2 pi r).",
     )
 
-    def __repr__(self) -> str:
-        return self._in_short(f"{counted(self.u.size, 'radius', 'radii')} drawn for each")
 
-
-@dataclass(frozen=True, eq=False, repr=False)
+@shows("model", "sigma_a", "sigma_s", "albedo", "g", "eta", "missing")
+@dataclass(frozen=True, eq=False)
 class Inversion:
     """Media with given albedos. The arrays have the shape of the arguments of invert(), and NaN
     where no medium has the albedo under the model."""
@@ -433,14 +406,6 @@ class Inversion:
     albedo_least: float  # the least albedo that media of this g and eta have under the model
     albedo_most: float  # the largest one
     missing: int  # number of media that are NaN
-
-    def __repr__(self) -> str:
-        return in_short(
-            f"<Inversion: {self.model}; {counted(self.sigma_a.size, 'medium', 'media')} of shape "
-            f"{self.sigma_a.shape}, g {self.g:.3g}, eta {self.eta:.4g}, {self.missing} missing",
-            f"sigma_a {span(self.sigma_a)} 1/mm, sigma_s {span(self.sigma_s)} 1/mm, "
-            f"albedo {span(self.albedo)}>",
-        )
 
     @property
     def media(self) -> Array:
@@ -493,7 +458,11 @@ class TissueFits:
         return names
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@shows(
+    "counts", "g", "g_is_default", "eta", "sigma_a", "sigma_s_prime", "reduced_chi_squared",
+    "model_error",
+)
+@dataclass(frozen=True, eq=False)
 class Fits:
     """What was fitted to sets of readings. Arrays have the shape of the sets: that of the values of
     fit() without its last axis. With status "refused" all numbers are NaN."""
@@ -505,19 +474,11 @@ class Fits:
     eta: float
     g_is_default: bool  # whether g was not given
 
-    def __repr__(self) -> str:
-        counts = ", ".join(
-            f"{np.count_nonzero(self.sets['status'] == number)} {name}"
-            for number, name in self.status_names.items()
-            if np.any(self.sets["status"] == number)
-        )
-        return in_short(
-            f"<Fits: {counted(self.sets.size, 'set', 'sets')} of shape {self.sets.shape}: {counts}",
-            f"sigma_a {span(self.sigma_a)} 1/mm, sigma_s' {span(self.sigma_s_prime)} 1/mm, "
-            f"reduced chi-squared {span(self.sets['reduced_chi_squared'])}",
-            f"g {self.g:g}{' (default)' if self.g_is_default else ''}, eta {self.eta:g}, "
-            f"model_error {span(self.model_error)}>",
-        )
+    @property
+    def counts(self) -> dict[str, int]:
+        """How many sets have ended in each way, by the names of status."""
+        numbers = zip(*np.unique(self.sets["status"], return_counts=True))
+        return {self.status_names[number]: int(count) for number, count in numbers}
 
     def _quantity(self, name: str) -> Array:
         field: Array = self.sets[name]
@@ -573,7 +534,8 @@ class Fits:
     )
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@shows("model", "evaluator", "g", "eta", "faults", "quantities", "coefficients")
+@dataclass(frozen=True, eq=False)
 class Varying:
     """Values each of which has its own medium. The arrays have the shape of the arguments of
     varying(), and NaN where there is no value."""
@@ -603,18 +565,9 @@ class Varying:
         """Whether each value was computed."""
         return self.statuses <= 1
 
-    def __repr__(self) -> str:
-        missing = int(np.count_nonzero(~self.computed))
-        arrays = {**self.quantities, **self.coefficients}
-        return in_short(
-            f"<Varying: {self.model}, {self.evaluator}; "
-            f"{counted(self.statuses.size, 'value', 'values')} of shape {self.statuses.shape}, "
-            f"g {self.g:.3g}, eta {self.eta:.4g}, {missing} missing",
-            ", ".join(f"{name} {span(array)}" for name, array in arrays.items()) + ">",
-        )
 
-
-@dataclass(frozen=True, eq=False, repr=False)
+@shows("model", "evaluator", "tolerance", "M", "bound")
+@dataclass(frozen=True, eq=False)
 class Gathered:
     """Sums of the light of points, for C channels."""
 
@@ -630,13 +583,6 @@ class Gathered:
     points_visited: int  # points that were summed one by one
     nodes_visited: int  # groups of points that were summed as one
     notes: tuple[str | int, ...]
-
-    def __repr__(self) -> str:
-        return in_short(
-            f"<Gathered: {self.model}, {self.evaluator}; {self.M.shape[-1]} channels, queries of "
-            f"shape {self.M.shape[:-1]}, tolerance {self.tolerance:.3g}",
-            f"M {span(self.M)} W/mm^2>",
-        )
 
 
 class McProgress(NamedTuple):
@@ -674,7 +620,8 @@ class McEnergy(NamedTuple):
     imbalance: float  # R + T + absorbed + unfinished - roulette - 1, which is 0 up to rounding
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@shows("state", "photons", "error_total", "error_rings", "edges", "values")
+@dataclass(frozen=True, eq=False)
 class McResult:
     """The result of a Monte Carlo job for K albedos, N rings and S sides. A half space has 1 side,
     a slab has 2. A value is the mean over a ring, in 1/mm^2 per unit of power that entered."""
@@ -690,17 +637,6 @@ class McResult:
     values: Array  # [K, S, N]
     errors: Array  # [K, S, N] standard errors of the values
     payload: bytes  # payload of the reply; equal for equal requests unless a job ends early
-
-    def __repr__(self) -> str:
-        albedos, sides, rings = self.values.shape
-        return in_short(
-            f"<McResult: {self.photons} photons, ended by {self.state}; "
-            f"{counted(albedos, 'albedo', 'albedos')}, {counted(sides, 'side', 'sides')}, "
-            f"{counted(rings, 'ring', 'rings')}, {span(self.edges)} mm",
-            f"R {span(self.R)} 1/mm^2; in all {span([one.R.value for one in self.energies])}",
-            f"relative standard error of the total {self.error_total:.2g}, of the worst ring "
-            f"{self.error_rings:.2g}>",
-        )
 
     @property
     def R(self) -> Array:
