@@ -157,6 +157,10 @@ $ dipole fit images.csv --unknown hbo2,hb --maps out.png; dipole fit images.csv 
 ! dipole fit: 850-0.pfm: all images have to be grey, and of the size of 660-0.pfm, 2 x 1
 ? 1
 
+$ head -2 images.csv | dipole fit --unknown a --tissue water=.6,b=1 --maps $(printf %05000d 0).pfm
+! dipole fit: 0000...chi2.pfm: File name too long
+? 1
+
 ## Which line is wrong.
 $ sed '4s/.*/650,7,0,0/' bands.csv > zero.csv; dipole fit zero.csv --unknown hbo2,hb --tissue a=1.9,b=1.2 --format csv; (cat bands.csv; sed -n 9p bands.csv) | dipole fit --unknown hbo2 --tissue a=1,b=1; sed 's/^950,/1010,/' bands.csv | dipole fit --unknown hbo2 --tissue a=1,b=1
 sample,unknown,value,error,numerical,status,scale,scale_error,chi2,readings,condition,sample_status
