@@ -188,7 +188,7 @@ static enum job_outcome begin_refining(struct fit_job *fit, const core_fit_resul
     struct profiles_lookup *lookup = &fit->refining->lookup;
     *lookup = (struct profiles_lookup){.cached = {.on_ready = fit->lookup.on_ready,
                                                   .context = fit->lookup.context,
-                                                  .owner = fit->lookup.owner}};
+                                                  .owner = &fit->job.owner}};
     profiles_start(lookup, read.design.model, read.design.moments, CORE_EVALUATOR_F64,
                    &read.parameters);
   }
@@ -202,7 +202,6 @@ static enum job_outcome begin_refining(struct fit_job *fit, const core_fit_resul
 /* Does one step of refining the next set. */
 static enum job_outcome refine_set(struct fit_job *fit) {
   struct refining *refining = fit->refining;
-  refining->lookup.cached.owner = fit->lookup.owner; /* the job may have been moved */
   const enum lookup_state state =
       profiles_get(&fit->job.context->profiles, &refining->lookup, &refining->medium);
   if (state == LOOKUP_FAULT && !lookup_is_busy(refining->lookup.fault)) {

@@ -65,7 +65,6 @@ static struct gather_work *new_work(struct gather_job *gather, const struct job_
   for (uint32_t i = 0; i < CORE_GATHER_CHANNELS_MAX; i++) {
     job_init_lookup(&gather->job, &work->channels[i], from);
   }
-  gather->job.lookup = NULL;
   return work;
 }
 

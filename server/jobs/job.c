@@ -29,7 +29,7 @@ enum job_outcome job_start(struct job_slot *slot, struct job_request *request) {
   job->owed_radii = 0;
   job->rests = false;
   job->large = false;
-  job->lookup = NULL;
+  job->owner = request->profiles;
   job->reader_idle = true;
   return job->kind->request == NULL ||
                  job_passes(job, schema_check(job->kind->request, request->payload,
@@ -49,10 +49,9 @@ void job_end(struct job *job) {
 }
 
 void job_init_other(struct job *job, struct lookup *lookup, const struct job_request *request) {
-  job->lookup = lookup;
   lookup->on_ready = request->on_ready;
   lookup->context = request->owner;
-  lookup->owner = request->profiles;
+  lookup->owner = &job->owner;
   lookup->entry = NULL;
   lookup->awaited = NULL;
   lookup->admitted = false;

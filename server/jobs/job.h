@@ -126,9 +126,9 @@ struct job {
   bool large;          /* whether the job is in context->large */
   LIST_ENTRY(job) in_large;
   enum latency_class latency;
-  struct lookup *lookup; /* lookup of the job's profiles; NULL if it has none */
-  bool reader_idle;      /* whether all parts are sent, so that it may report progress */
-  wire_error refusal;    /* why the job is refused; set with JOB_REFUSED */
+  struct cache_owner *owner; /* the client, whose turns its lookups use */
+  bool reader_idle;          /* whether all parts are sent, so that it may report progress */
+  wire_error refusal;        /* why the job is refused; set with JOB_REFUSED */
 };
 
 /* The parts of a reply that is a list of radii, sets, media or values. */

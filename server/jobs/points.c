@@ -288,7 +288,6 @@ static enum job_outcome start_points(struct job *job, const struct job_request *
   points->done = 0;
   points->reply = (wire_points_reply){.set = {fixed->set[0], fixed->set[1]}};
   job_init_other(job, &points->lookup, from);
-  job->lookup = NULL;
   return JOB_GOES_ON;
 }
 

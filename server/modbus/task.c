@@ -163,9 +163,8 @@ wire_error modbus_task_commit(struct modbus_task *task, struct client *master) {
 }
 
 void modbus_task_move(struct modbus_task *task, struct client *from, struct client *to) {
-  struct lookup *lookup = task->run.state != RUN_IDLE ? task->run.job->lookup : NULL;
-  if (lookup != NULL && lookup->owner == &from->profiles) {
-    lookup->owner = &to->profiles;
+  if (task->run.state != RUN_IDLE && task->run.job->owner == &from->profiles) {
+    task->run.job->owner = &to->profiles;
   }
 }
 

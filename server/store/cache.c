@@ -12,7 +12,8 @@ enum {
   FAST_SHARE = 4,    /* What is fast to prepare may hold a quarter of all bytes. */
   LISTS = 3,         /* things that are fast to prepare, slow ones, and those apart */
   APART = 2,         /* index of the list of things apart */
-  THREADS_MOST = 2,  /* that prepare in each lane */
+  OWN_TURNS = 2,     /* of one owner at a time in each lane */
+  THREADS_MOST = 8,  /* that solve: for so many owners at a time, if each has one turn */
   SOLVE_NICE = 5,    /* which gives a third of the share of a worker on its core */
 };
 
@@ -53,6 +54,7 @@ struct lane {
   TAILQ_HEAD(, cache_queue) turns; /* queues that have waiters; the first has the next turn */
   struct cache_queue *latest;      /* that of the latest turn, or NULL; new ones go before it */
   unsigned turn_count;             /* number of turns that have begun and not ended */
+  unsigned turns_most;             /* at a time */
   uv_cond_t changed;               /* whether there is a turn to take, or the cache stops */
   struct cache *cache;
   uv_thread_t threads[THREADS_MOST];
@@ -70,7 +72,7 @@ struct cache {
   uint64_t entry_count; /* number of entries in the buckets, prepared or not */
   struct list lists[LISTS];
   struct lane lanes[CACHE_LANES];
-  unsigned turns_most; /* at a time in each lane */
+  unsigned own_turns; /* of one owner at a time in each lane */
   uint64_t max_waiting;
   bool stopping;
 };
@@ -300,16 +302,27 @@ static void leave_queue(struct lookup *waiter) {
   }
 }
 
+/* Lets the owner have another turn if the lookup's is one of those that it may have at a time. */
+static void end_own_turn(struct lookup *lookup) {
+  if (lookup->has_turn) {
+    struct lane *lane = lane_of(lookup->awaited);
+    lookup->has_turn = false;
+    (*lookup->owner)->queues[lookup->awaited->pace - CACHE_SLOW].begun--;
+    uv_cond_signal(&lane->changed);
+  }
+}
+
 static void wait_for(struct cache_entry *entry, struct lookups *at, struct lookup *waiter) {
   cache_hold(entry);
   waiter->awaited = entry;
   waiter->waits_at = at;
   waiter->queued_for = NULL;
+  waiter->has_turn = false;
   waiter->list = &entry->waiters;
   LIST_INSERT_HEAD(waiter->list, waiter, in_list);
   atomic_store(&entry->stop, false);
   if (!entry->begun) {
-    join_queue(waiter, waiter->owner);
+    join_queue(waiter, *waiter->owner);
   }
 }
 
@@ -345,15 +358,22 @@ static bool give_up(struct cache_entry *entry) {
 }
 
 static struct cache_entry *begin_turn(struct cache *cache, struct lane *lane) {
-  struct cache_queue *queue = TAILQ_FIRST(&lane->turns);
-  if (queue == NULL || lane->turn_count == cache->turns_most) {
+  struct cache_queue *queue;
+  TAILQ_FOREACH(queue, &lane->turns, in_turns) {
+    if (queue->begun < cache->own_turns) {
+      break;
+    }
+  }
+  if (queue == NULL || lane->turn_count == lane->turns_most) {
     return NULL;
   }
   TAILQ_REMOVE(&lane->turns, queue, in_turns);
   TAILQ_INSERT_TAIL(&lane->turns, queue, in_turns);
   lane->latest = queue;
-  struct cache_entry *entry = TAILQ_FIRST(&queue->waiters)->awaited;
-  struct lookup *waiter;
+  struct lookup *waiter = TAILQ_FIRST(&queue->waiters);
+  struct cache_entry *entry = waiter->awaited;
+  waiter->has_turn = lane->turns_most > cache->own_turns;
+  queue->begun += waiter->has_turn;
   LIST_FOREACH(waiter, &entry->waiters, in_list) {
     leave_queue(waiter);
   }
@@ -414,7 +434,7 @@ static enum lookup_state look_up(struct cache *cache, struct lookups *at, struct
                          "sets of points that were sent to this daemon and are kept");
   }
   if ((new ? pace != CACHE_FAST : !entry->begun) && !lookup->admitted &&
-      waiter_count(lookup->owner) >= cache->max_waiting) {
+      waiter_count(*lookup->owner) >= cache->max_waiting) {
     return refuse_lookup(lookup, LOOKUP_FIELD_BUSY, "fewer profiles that wait at a time");
   }
   if (new) {
@@ -450,7 +470,7 @@ struct cache *cache_new(const core_isa *isa, uint64_t limit_bytes, uint64_t apar
   cache->apart_bytes = apart_bytes;
   cache->max_waiting = max_waiting;
   /* leaves processors for the workers */
-  cache->turns_most = uv_available_parallelism() < 4 ? 1 : THREADS_MOST;
+  cache->own_turns = uv_available_parallelism() < 4 ? 1 : OWN_TURNS;
   cache->stats = stats;
   cache->bucket_count = BUCKETS_MIN;
   cache->buckets = calloc(BUCKETS_MIN, sizeof *cache->buckets);
@@ -466,6 +486,7 @@ struct cache *cache_new(const core_isa *isa, uint64_t limit_bytes, uint64_t apar
     struct lane *lane = &cache->lanes[i];
     TAILQ_INIT(&lane->turns);
     lane->cache = cache;
+    lane->turns_most = i + CACHE_SLOW == CACHE_SOLVED ? THREADS_MOST : cache->own_turns;
     if (uv_cond_init(&lane->changed) != 0) {
       abort(); /* On Linux this takes nothing that could be lacking. */
     }
@@ -532,6 +553,7 @@ void cache_move_waiters(struct cache *cache, struct cache_owner *from, struct ca
       leave_queue(waiter);
       join_queue(waiter, to);
     }
+    to->queues[i].begun += from->queues[i].begun;
   }
   uv_mutex_unlock(&cache->mutex);
 }
@@ -603,7 +625,7 @@ static void take_turns(void *argument) {
 int cache_start(struct cache *cache) {
   for (size_t i = 0; i < CACHE_LANES; i++) {
     struct lane *lane = &cache->lanes[i];
-    for (; lane->thread_count < cache->turns_most; lane->thread_count++) {
+    for (; lane->thread_count < lane->turns_most; lane->thread_count++) {
       const int error = uv_thread_create(&lane->threads[lane->thread_count], take_turns, lane);
       if (error != 0) {
         return error;
@@ -626,6 +648,7 @@ static void leave_entry(struct lookup *lookup) {
   uv_mutex_lock(&cache->mutex);
   leave_list(lookup);
   leave_queue(lookup);
+  end_own_turn(lookup);
   const bool given_up = !entry->begun && give_up(entry);
   if (is_slow(entry) && LIST_EMPTY(&entry->waiters)) {
     atomic_store(&entry->stop, true);

@@ -13,11 +13,13 @@
  *
  * Slow things are prepared by threads of two lanes: those that take milliseconds by one lane, and
  * those for which transport is solved, in seconds, by the other, whose threads have a low priority. So
- * no solution delays a table. A lane prepares one thing at a time, or two on a machine with four cores
- * or more. Each waiter waits in a queue of its owner, for example of a connection. Owners take
- * turns: each turn prepares the entry of one owner's first waiter, and wakes all waiters of that
- * entry. So even an owner with hundreds of waiters delays another owner by only one preparation in
- * each turn. An entry without waiters whose preparation has not begun is removed.
+ * no solution delays a table. The first lane prepares one thing at a time, or two on a machine with
+ * four cores or more. The second does so for each of up to eight owners: the system shares the
+ * processors out among its threads, so that a short solution is soon ready beside long ones. Each waiter
+ * waits in a queue of its owner, for example of a connection. Owners take turns: each turn prepares the
+ * entry of one owner's first waiter, and wakes all waiters of that entry. So even an owner with hundreds
+ * of waiters delays another owner by only one preparation in each turn. An entry without waiters whose
+ * preparation has not begun is removed.
  *
  * Threading: one mutex guards the table, the lists for eviction and the lists of waiters. Nothing is
  * prepared or freed while the mutex is held. Things are used without it, and a worker finds the
@@ -94,6 +96,7 @@ enum cache_pace { CACHE_FAST, CACHE_SLOW, CACHE_SOLVED, CACHE_LANES = CACHE_SOLV
 struct cache_queue {
   TAILQ_HEAD(cache_waiting, lookup) waiters;
   uint64_t count;                    /* number of waiters */
+  unsigned begun;                    /* number of the owner's turns under way, in the second lane */
   TAILQ_ENTRY(cache_queue) in_turns; /* member of the list of turns if count > 0 */
 };
 
@@ -116,11 +119,12 @@ struct lookups {
 struct lookup {
   void (*on_ready)(void *context); /* called after LOOKUP_WAIT: look the same thing up again */
   void *context;
-  struct cache_owner *owner; /* the owner whose turns are used to prepare slow things */
-  struct cache_entry *entry; /* after LOOKUP_READY: a reference, until lookup_return() */
-  core_fault fault;          /* after LOOKUP_FAULT: why there is nothing */
+  struct cache_owner **owner; /* the owner whose turns are used to prepare slow things */
+  struct cache_entry *entry;  /* after LOOKUP_READY: a reference, until lookup_return() */
+  core_fault fault;           /* after LOOKUP_FAULT: why there is nothing */
   bool admitted; /* the job has had a thing before: max_waiting does not stop it halfway */
   bool woken;
+  bool has_turn; /* whether it is one of its owner's in cache_queue.begun */
 
   struct cache_entry *awaited;    /* NULL: it does not wait, and these have no meaning: */
   struct lookups *waits_at;       /* whose thread it is of */

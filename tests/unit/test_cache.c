@@ -39,17 +39,17 @@ enum { MAX_WAITING = 200 };
 /* A cache, and an owner and a worker's end that ask it. */
 struct fixture {
   struct server server;
-  struct cache_owner owner;
+  struct cache_owner own, *owner;
   struct lookups lookups;
 };
 
 static void open_cache(struct fixture *f, uint64_t limit_bytes) {
-  *f = (struct fixture){.lookups = {.server = &f->server, .wake = do_nothing}};
+  *f = (struct fixture){.owner = &f->own, .lookups = {.server = &f->server, .wake = do_nothing}};
   f->server.cache = cache_new(core_isa_select(NULL), limit_bytes, 0, MAX_WAITING, &f->server.stats);
   assert_non_null(f->server.cache);
 }
 
-static struct lookup new_lookup(struct cache_owner *owner) {
+static struct lookup new_lookup(struct cache_owner **owner) {
   return (struct lookup){.on_ready = do_nothing, .owner = owner};
 }
 
@@ -355,7 +355,7 @@ UNIT_TEST(owners_take_turns) {
   enum { MANY = 10 };
   struct fixture f;
   open_cache(&f, 1 << 20);
-  struct cache_owner second = {0}, third = {0};
+  struct cache_owner others[2] = {0}, *second = &others[0], *third = &others[1];
   struct lookup waiters[MANY] = {new_lookup(&f.owner)};
   static const uint64_t turns[MANY] = {0, 3, 5, 7, 8, 9, 1, 4, 6, 2};
   for (size_t i = 0; i < MANY; i++) {
@@ -407,13 +407,14 @@ static enum lookup_state look_at_pace(struct fixture *f, struct lookup *lookup, 
   return lookup_get(&f->lookups, lookup, &plain, pace, false);
 }
 
-/* While all threads that solve are at work, and more waits for them, what takes milliseconds is
- * prepared, even for the same owner. A place counts what is prepared at the same pace. */
+/* While as much is solved for an owner as may be at a time, and more waits, what takes milliseconds is
+ * prepared, even for the same owner, and another owner's medium is solved. */
 UNIT_TEST(solutions_hold_up_nothing_else) {
   enum { MANY = 4 };
   struct fixture f;
   open_cache(&f, 1 << 20);
-  struct lookup solved[MANY], table = new_lookup(&f.owner);
+  struct cache_owner own = {0}, *other = &own;
+  struct lookup solved[MANY], table = new_lookup(&f.owner), short_one = new_lookup(&other);
   struct cache_entry *begun[MANY];
   unsigned most = 0;
   for (unsigned i = 0; i < MANY; i++) {
@@ -428,11 +429,27 @@ UNIT_TEST(solutions_hold_up_nothing_else) {
   assert_int_equal(take_turns(f.server.cache, MANY), 1);
   lookups_wake(&f.lookups);
   assert_true(look_at_pace(&f, &table, MANY, CACHE_SLOW) == LOOKUP_READY);
+  assert_true(look_at_pace(&f, &short_one, MANY + 1, CACHE_SOLVED) == LOOKUP_WAIT);
+  struct cache_entry *others = cache_begin_turn(f.server.cache, CACHE_SOLVED);
+  cache_prepare(others);
+  cache_end_turn(others);
+  lookups_wake(&f.lookups);
+  assert_true(look_at_pace(&f, &short_one, MANY + 1, CACHE_SOLVED) == LOOKUP_READY);
+  for (unsigned i = 0; i < most; i++) {
+    assert_null(cache_begin_turn(f.server.cache, CACHE_SOLVED));
+    cache_prepare(begun[i]);
+    cache_end_turn(begun[i]);
+    lookups_wake(&f.lookups);
+    assert_true(look_at_pace(&f, &solved[i], i, CACHE_SOLVED) == LOOKUP_READY);
+    begun[i] = cache_begin_turn(f.server.cache, CACHE_SOLVED);
+    assert_non_null(begun[i]);
+  }
   for (unsigned i = 0; i < most; i++) {
     cache_prepare(begun[i]);
     cache_end_turn(begun[i]);
   }
   lookup_return(&table);
+  lookup_return(&short_one);
   for (unsigned i = 0; i < MANY; i++) {
     lookup_return(&solved[i]);
   }
@@ -447,7 +464,7 @@ struct thread {
   uv_thread_t id;
   struct fixture *f;
   uv_sem_t woken;
-  struct cache_owner owner;
+  struct cache_owner own, *owner;
   struct lookups lookups;
   uint64_t seed;
   uint64_t found;
@@ -506,6 +523,7 @@ UNIT_TEST(threads_share_it) {
     for (size_t t = 0; t < THREADS; t++) {
       threads[t] = (struct thread){
           .f = &f,
+          .owner = &threads[t].own,
           .lookups = {.server = &f.server, .wake = on_woken, .context = &threads[t]},
           .seed = seed + t};
       assert_int_equal(uv_sem_init(&threads[t].woken, 0), 0);

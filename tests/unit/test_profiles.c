@@ -40,7 +40,7 @@ static void set_woken(void *context) {
 static double get_albedo(struct fixture *f, unsigned model, core_medium medium,
                          const core_parameters *parameters, double *cos_in) {
   bool woken = false;
-  struct cache_owner owner = {0};
+  struct cache_owner own = {0}, *owner = &own;
   struct profiles_lookup lookup = {
       .cached = {.on_ready = set_woken, .context = &woken, .owner = &owner}};
   profiles_start(&lookup, model, CORE_MOMENTS_EXACT, CORE_EVALUATOR_F64, parameters);
@@ -128,7 +128,7 @@ UNIT_TEST(what_has_been_evicted_is_not_held) {
   const struct cache_key plain = profiles_cache_key(&key, &profiles_kind);
   double cos_in;
   get_albedo(&f, CORE_MODEL_SINGLE, other, &none, &cos_in);
-  struct cache_owner owner = {0};
+  struct cache_owner own = {0}, *owner = &own;
   struct lookup lookup = {.owner = &owner};
   const uint64_t builds = stats_get(&f.server.stats, STATS_CACHE_BUILDS);
   assert_true(lookup_get(&f.profiles.lookups, &lookup, &plain, false, false) == LOOKUP_READY);
