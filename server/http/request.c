@@ -371,12 +371,10 @@ static bool begin_medium(struct translation *t, size_t layers, size_t index) {
   return true;
 }
 
-static bool add_layer(struct translation *t, const wire_medium *layer) {
-  uint8_t *at = add_bytes(t, WIRE_BYTES_medium);
-  if (at != NULL) {
-    wire_put_medium(at, layer);
-  }
-  return at != NULL;
+/* Adds a structure, which is on the wire as it is in memory. */
+static bool add_structure(struct translation *t, const void *structure, size_t bytes) {
+  uint8_t *at = add_bytes(t, bytes);
+  return at != NULL && memcpy(at, structure, bytes) != NULL;
 }
 
 static bool add_measured(struct translation *t, const char *name, size_t index) {
@@ -391,7 +389,8 @@ static bool add_measured(struct translation *t, const char *name, size_t index) 
     const core_medium *from = &measured->channel[i];
     const wire_medium layer = {from->sigma_a_per_mm, from->sigma_s_per_mm, from->g, from->eta,
                                layers > 1 ? from->thickness_mm : t->thickness_mm};
-    good = (i % layers > 0 || begin_medium(t, layers, index)) && add_layer(t, &layer);
+    good = (i % layers > 0 || begin_medium(t, layers, index)) &&
+           add_structure(t, &layer, sizeof layer);
   }
   return good;
 }
@@ -427,7 +426,7 @@ static bool add_coefficients(struct translation *t, const json_t *values, size_t
       return fail_at(t, eta_of_fit(), index);
     }
   }
-  return add_layer(t, &layer);
+  return add_structure(t, &layer, sizeof layer);
 }
 
 static bool is_coefficient(const char *name, const json_t *value) {
@@ -578,12 +577,10 @@ static bool add_sought(struct translation *t) {
         (high != NULL && !read_number(t, high, &sought.high))) {
       return fail_at(t, not_a_number("sought"), i);
     }
-    uint8_t *at = add_bytes(t, WIRE_BYTES_sought);
-    if (at == NULL) {
+    sought.property = (uint16_t)id;
+    if (!add_structure(t, &sought, sizeof sought)) {
       return false;
     }
-    sought.property = (uint16_t)id;
-    wire_put_sought(at, &sought);
   }
   return true;
 }
@@ -606,11 +603,9 @@ static bool add_parameters(struct translation *t) {
       return fail_with(t, not_a_number(one->name));
     }
     parameter.value = list != NULL && id > 0 ? (double)id : parameter.value;
-    uint8_t *at = add_bytes(t, WIRE_BYTES_parameter);
-    if (at == NULL) {
+    if (!add_structure(t, &parameter, sizeof parameter)) {
       return false;
     }
-    wire_put_parameter(at, &parameter);
     t->parameter_count++;
   }
   return true;

@@ -282,7 +282,7 @@ bool input_has_frame(const struct input *input) {
 /* ---- output ---------------------------------------------------------------------------------- */
 
 /* A chunk holds a few hundred small replies, which one system call then writes. */
-enum { CHUNK_BYTES = 65536, SPARES_MOST = 16 };
+enum { CHUNK_BYTES = 65536 };
 
 struct output_chunk {
   struct output_chunk *next;
@@ -296,68 +296,28 @@ void output_init(struct output *output, struct server *server) {
   *output = (struct output){.server = server, .budget = &server->buffers};
 }
 
-static void free_chunk(struct output *output, struct output_chunk *chunk) {
-  budget_return(output->budget, chunk->capacity);
-  free(chunk);
-}
-
-/* Removes the first chunk. Keeps small ones for the next replies. */
 static void release_first(struct output *output) {
   struct output_chunk *chunk = output->first;
   output->first = chunk->next;
   if (output->first == NULL) {
     output->last = NULL;
   }
-  if (chunk->capacity == CHUNK_BYTES && output->spare_count < SPARES_MOST) {
-    chunk->next = output->spares;
-    output->spares = chunk;
-    output->spare_count++;
-  } else {
-    free_chunk(output, chunk);
-  }
-}
-
-static struct output_chunk *remove_spare(struct output *output) {
-  struct output_chunk *chunk = output->spares;
-  output->spares = chunk->next;
-  output->spare_count--;
-  output->spare_least =
-      output->spare_count < output->spare_least ? output->spare_count : output->spare_least;
-  return chunk;
-}
-
-static void free_spares(struct output *output, unsigned count) {
-  for (; count > 0; count--) {
-    free_chunk(output, remove_spare(output));
-  }
-}
-
-void output_trim(struct output *output) {
-  free_spares(output, output->spare_least);
-  output->spare_least = output->spare_count;
+  budget_return(output->budget, chunk->capacity);
+  free(chunk);
 }
 
 void output_free(struct output *output) {
   while (output->first != NULL) {
     release_first(output);
   }
-  free_spares(output, output->spare_count);
 }
 
 static struct output_chunk *new_chunk(struct output *output, size_t bytes) {
   const size_t capacity = bytes > CHUNK_BYTES ? bytes : CHUNK_BYTES;
-  if (capacity == CHUNK_BYTES && output->spare_count > 0) {
-    struct output_chunk *spare = remove_spare(output);
-    *spare = (struct output_chunk){.capacity = capacity};
-    return spare;
-  }
   if (output->first == NULL && capacity == CHUNK_BYTES) {
     budget_take_base(output->budget, capacity);
   } else if (!budget_take(output->budget, capacity)) {
-    free_spares(output, output->spare_count); /* the spares may use up the budget */
-    if (!budget_take(output->budget, capacity)) {
-      return NULL;
-    }
+    return NULL;
   }
   struct output_chunk *chunk = malloc(sizeof *chunk + capacity);
   if (chunk == NULL) {

@@ -119,18 +119,12 @@ struct output {
   struct budget *budget;
   struct output_chunk *first;
   struct output_chunk *last;
-  struct output_chunk *spares; /* small chunks that have been written */
-  unsigned spare_count;
-  unsigned spare_least;  /* number of spares that were not used since output_trim() */
   uint64_t ready_bytes;  /* number of bytes that are committed and not yet consumed */
   size_t reserved_bytes; /* size of the reservation at the end of the last chunk */
 };
 
 void output_init(struct output *output, struct server *server);
 void output_free(struct output *output);
-
-/* Frees the spares that were not used since the last call. Call this several times a second. */
-void output_trim(struct output *output);
 
 /* Frees all memory if nothing waits to be written. */
 void output_release(struct output *output);

@@ -415,7 +415,6 @@ static void check_time(struct client *client, uint64_t now_ms) {
   if (!requests_hold_input(&c->requests)) {
     input_trim(&c->input, now_ms);
   }
-  output_trim(&c->output);
   if (c->requests.ended || c->output.ready_bytes > 0) {
     if (now_ms - c->transport.active_ms > options->idle_timeout_ms) {
       transport_abort(&c->transport);

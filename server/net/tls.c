@@ -41,18 +41,12 @@ struct tls {
 
 /* ---- certificates ---------------------------------------------------------------------------- */
 
-static _Thread_local bool password_wanted; /* whether this thread has met a key with a password */
-
 static void describe_fault(char why[TLS_WHY_BYTES]) {
   /* later errors of the queue say where the first was noticed */
   const unsigned long error = ERR_peek_error();
   const char *reason = ERR_reason_error_string(error);
-  if (password_wanted) {
-    reason = "the key has a password: give a key without one, as openssl pkey writes it";
-    password_wanted = false;
-  } else if (ERR_GET_LIB(error) == ERR_LIB_SSL &&
-             (ERR_GET_REASON(error) == SSL_R_WRONG_VERSION_NUMBER ||
-              ERR_GET_REASON(error) == SSL_R_HTTP_REQUEST)) {
+  if (ERR_GET_LIB(error) == ERR_LIB_SSL && (ERR_GET_REASON(error) == SSL_R_WRONG_VERSION_NUMBER ||
+                                            ERR_GET_REASON(error) == SSL_R_HTTP_REQUEST)) {
     reason = "the peer does not speak TLS, or a balancer's PROXY header comes before it";
   } else if (ERR_GET_LIB(error) == ERR_LIB_X509 &&
              ERR_GET_REASON(error) == X509_R_KEY_VALUES_MISMATCH) {
@@ -68,9 +62,9 @@ static void describe_fault(char why[TLS_WHY_BYTES]) {
 }
 
 /* Keys with a password are refused: OpenSSL would prompt at the terminal. */
-static int no_password(char *password, int bytes, int writing, void *unused) {
-  (void)password, (void)bytes, (void)writing, (void)unused;
-  password_wanted = true;
+static int no_password(char *password, int bytes, int writing, void *wanted) {
+  (void)password, (void)bytes, (void)writing;
+  *(bool *)wanted = true;
   return -1;
 }
 
@@ -123,9 +117,10 @@ static SSL_CTX *load(const struct options *options, const char **what, char why[
   ERR_clear_error();
   *what = "TLS";
   SSL_CTX *context = SSL_CTX_new(TLS_server_method());
-  bool good = context != NULL;
+  bool good = context != NULL, has_password = false;
   if (good) {
     set_manners(context);
+    SSL_CTX_set_default_passwd_cb_userdata(context, &has_password);
     *what = options->certificate;
     good = SSL_CTX_use_certificate_chain_file(context, options->certificate) == 1;
   }
@@ -138,7 +133,10 @@ static SSL_CTX *load(const struct options *options, const char **what, char why[
     *what = options->client_ca;
     good = load_client_ca(context, options->client_ca);
   }
-  if (!good) {
+  if (has_password) {
+    snprintf(why, TLS_WHY_BYTES,
+             "the key has a password: give a key without one, as openssl pkey writes it");
+  } else if (!good) {
     describe_fault(why);
   } else if (options->roles != NULL) {
     *what = options->roles;

@@ -502,8 +502,6 @@ COMMAND(tell) {
   }
 }
 
-COMMAND(tell_headers);
-
 /* ---- settings -------------------------------------------------------------------------------- */
 
 COMMAND(use_numbers) {
@@ -1068,22 +1066,6 @@ static const struct scpi_command commands[] = {
 };
 
 enum { COMMANDS = sizeof commands / sizeof commands[0] };
-
-COMMAND(tell_headers) {
-  UNUSED;
-  struct text list;
-  text_init(&list, &s->server->buffers);
-  for (const struct scpi_command *one = commands; one < commands + COMMANDS; one++) {
-    const char *forms = one->forms == SET ? "/nquery/\n" : one->forms == BOTH ? "\n" : "/qonly/\n";
-    text_add(&list, ":", one->pattern[0] != '*');
-    text_add(&list, one->pattern, strlen(one->pattern));
-    text_add(&list, forms, strlen(forms));
-  }
-  answer_block(s, list.count);
-  text_add(&s->answers, list.bytes, list.count);
-  text_free(&list);
-  return DONE;
-}
 
 static const struct scpi_command *find_command(const char *header, size_t bytes, bool query,
                                                unsigned *number) {

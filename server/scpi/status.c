@@ -25,11 +25,12 @@ void scpi_status_set(struct scpi_register *status, uint16_t condition) {
 
 void scpi_status_fail(struct scpi_status *status, int number, const char *field,
                       const char *allowed) {
-  static const uint8_t event_of_class[] = {0, 32, 16, 8, 4}; /* -1xx, -2xx, -3xx, -4xx */
+  static const uint8_t event_of_class[] = {0, 32, 16, 8}; /* -1xx, -2xx, -3xx */
   status->events |= event_of_class[-number / 100];
   if (status->count == SCPI_ERRORS_MAX) {
     number = SCPI_OVERFLOW;
     field = NULL;
+    status->events |= event_of_class[-SCPI_OVERFLOW / 100];
   } else {
     status->count++;
   }

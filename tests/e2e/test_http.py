@@ -323,7 +323,7 @@ FAULTS = {
         ({"model": ["better"]}, "model"), ({"evaluator": "f16"}, "evaluator"), ({"wanted": []}, "wanted"),
         ({"wanted": ["Q"]}, "wanted"), ({"medium": "skin9"}, "medium"), ({"medium": []}, "medium_count"),
         ({"medium": 5}, "medium"), ({"medium": {**SKIN, "x": 1}}, "medium"), ({"medium": {"sigma_a": 1}}, "sigma_s"),
-        ({"medium": {**SKIN, "sigma_s": -1}}, "sigma_s"), ({"medium": [SKIN] * 65}, "medium_count", 0, 413),
+        ({"medium": {**SKIN, "sigma_s": -1}}, "sigma_s"), ({"medium": '"[[[[['}, "medium"), ({"medium": [SKIN] * 65}, "medium_count", 0, 413),
         ({"sigma_a": 1}, "sigma_a"), ({"radius_count": 5}, "radius_count"), ({"spacing": "linear"}, "spacing"),
         ({"radius_start": 1}, "radius_start"), ({"tolerance": 2}, "tolerance"), ({"thickness": 1}, "thickness"),
         ({"deadline_ms": -1}, "deadline_ms"), ({"deadline_ms": 2**40}, "deadline_ms"),
@@ -615,6 +615,9 @@ def test_too_large(served):
     assert answer.status == 413 and answer.json["field"] == "radius_count"
     body = b'{"model":"better","r":[' + b"1," * 600000 + b"1]}"
     assert ask(served, "POST", "/v1/eval", body).status == 413
+    for more, status in ((0, 200), (1, 413)):
+        body = b'{"model":"better","medium":"skin1","r":1}'.ljust(2**20 + more)
+        assert ask(served, "POST", "/v1/eval", body).status == status
     most = good(post(served, "/v1/eval", model="better", medium=SKIN, spacing="linear",
                      radius_count=65000, radius_stop=1))
     assert len(most["r"]) == len(most["channels"][0]["R"]) == 65000

@@ -53,7 +53,7 @@ def test_a_reader_that_stops_costs_bounded_memory_and_no_time(daemon):
             assert stuck.receive_frame().type == EVALUATED
         # The daemon evaluates only as much as it queues for this reader.
         assert eventually(lambda: settled(lambda: statistics(other)["radii_evaluated"]))
-        limits = 4 * (1 << 20)  # max_queued_bytes, a part that had begun, and a spare
+        limits = 4 * (1 << 20)  # max_queued_bytes, a part that had begun, and more
         for _ in range(20):
             assert statistics(other)["buffer_bytes"] < limits
             assert_serves(other)

@@ -377,9 +377,12 @@ def test_certificates_are_reloaded_under_load(daemon, authority, ours, tmp_path)
             serials.append(serial_of(one, ours))
             assert eventually(lambda: all(x.failure or x.done > n for x, n in zip(loads, before)))
         assert len(set(serials)) == 6
+        openssl("ec", "-in", ours["key"], "-aes128", "-passout", "pass:secret", "-out", str(key))
+        one.process.send_signal(signal.SIGHUP)
+        assert one.has_line(f"event=tls-not-reloaded file={key} reason=the key has a password")
         key.write_text("nonsense")
         one.process.send_signal(signal.SIGHUP)
-        assert one.has_line(f"event=tls-not-reloaded file={key}")
+        assert one.has_line(f"event=tls-not-reloaded file={key} reason=the file has no such content")
         assert serial_of(one, ours) == serials[-1]
 
 

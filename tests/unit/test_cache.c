@@ -194,6 +194,15 @@ UNIT_TEST(the_least_recently_used_goes_first) {
   cache_free(f.server.cache);
 }
 
+UNIT_TEST(what_is_slow_goes_before_what_is_fast_and_few) {
+  struct fixture f;
+  open_cache(&f, 4 * entry_bytes());
+  assert_false(visit_as(&f, 0, false) || visit(&f, 1) || visit(&f, 2) || visit(&f, 3));
+  assert_false(visit(&f, 4)); /* evicts 1 */
+  assert_true(visit_as(&f, 0, false) && visit(&f, 2) && visit(&f, 3) && visit(&f, 4));
+  cache_free(f.server.cache);
+}
+
 UNIT_TEST(a_use_that_the_cache_did_not_see_counts_once) {
   struct fixture f;
   open_cache(&f, 2 * entry_bytes());

@@ -62,6 +62,16 @@ UNIT_TEST(ends_of_octaves) {
   }
 }
 
+UNIT_TEST(durations_below_a_power_of_two) {
+  for (unsigned octave = HISTOGRAM_LEAST_OCTAVE; octave <= HISTOGRAM_MOST_OCTAVE; octave++) {
+    struct histogram two = {.sum_ns = 0};
+    histogram_add(&two, (UINT64_C(1) << octave) - 1, 1);
+    histogram_add(&two, UINT64_C(1) << octave, 1);
+    const struct histogram_sum sum = merged(&two);
+    assert_int_equal(histogram_below(&sum, octave), 1);
+  }
+}
+
 /* Durations below and above all buckets are counted, and the longest one is exact. */
 UNIT_TEST(very_short_and_very_long) {
   struct histogram both = {.sum_ns = 0};
