@@ -15,9 +15,6 @@
 #define MODEL_ALL "all"
 
 static const cli_option radii_options[] = {
-    CLI_OPTION(
-        FILE, table, NULL,
-        "evaluate the tables in a file of `dipole table`, without a daemon; -: standard input"),
     CLI_OPTION(FILE, mci, NULL,
                "read an input file of MCML, version 1.0, and write what MCML would estimate from "
                "infinitely many photons, without a daemon: R and T by rings of its dr, totals, and "
@@ -65,8 +62,9 @@ static const cli_option output_options[] = {
 
 /* ---- what replies hold ----------------------------------------------------------------------- */
 
-cli_eval_model *cli_eval_add_model(cli_eval_report *report, const dipole_choice *model,
-                                   bool named) {
+/* Adds a model, or notes that it is named if it is there already. Returns what the report has of
+ * it, until the next call. */
+static cli_eval_model *add_model(cli_eval_report *report, const dipole_choice *model, bool named) {
   for (size_t i = 0; i < report->model_count; i++) {
     if (report->models[i].choice == model) {
       report->models[i].named |= named;
@@ -78,7 +76,8 @@ cli_eval_model *cli_eval_add_model(cli_eval_report *report, const dipole_choice 
   return &report->models[report->model_count++];
 }
 
-void cli_eval_make_values(cli_eval_report *report) {
+/* Allocates the values of all models and channels. Their arrays are NULL. */
+static void make_values(cli_eval_report *report) {
   report->values =
       cli_allocate(report->model_count * report->profile.channel_count, sizeof *report->values);
 }
@@ -133,7 +132,7 @@ static void keep_part(cli_eval_report *report, size_t model, size_t of_channel, 
 static bool choose_model(const char *name, cli_eval_report *report) {
   const dipole_choice *model = cli_named(report->profile.info, DIPOLE_MODEL, "model", name);
   if (model != NULL) {
-    cli_eval_add_model(report, model, true);
+    add_model(report, model, true);
   }
   return model != NULL;
 }
@@ -141,7 +140,7 @@ static bool choose_model(const char *name, cli_eval_report *report) {
 static bool choose_models(const cli_settings *settings, cli_eval_report *report) {
   const cli_texts *names = &settings->model;
   if (names->count == 0 && settings->parameters[CORE_PARAMETER_TOLERANCE].text != NULL) {
-    cli_eval_add_model(report, NULL, true); /* NULL: the daemon chooses the model */
+    add_model(report, NULL, true); /* NULL: the daemon chooses the model */
     return true;
   }
   for (size_t i = 0; i < names->count; i++) {
@@ -154,7 +153,7 @@ static bool choose_models(const cli_settings *settings, cli_eval_report *report)
     }
     for (size_t from = 0;
          (model = cli_next_choice(report->profile.info, DIPOLE_MODEL, &from)) != NULL;) {
-      cli_eval_add_model(report, model, false);
+      add_model(report, model, false);
     }
   }
   return names->count > 0 || choose_model(CLI_MODEL_DEFAULT, report);
@@ -166,13 +165,15 @@ static bool choose_reference(cli_eval_report *report) {
     return cli_fails("this daemon has no model " CLI_MODEL_DEFAULT
                      " to compare with: leave --error out");
   }
-  cli_eval_add_model(report, model, false)->is_reference = true;
+  add_model(report, model, false)->is_reference = true;
   return true;
 }
 
 /* ---- quantities and radii -------------------------------------------------------------------- */
 
-bool cli_eval_take_quantities(const cli_settings *settings, cli_eval_report *report) {
+/* Looks up the quantities, R and the albedo by default, and sets where values are. Says what is
+ * wrong and returns false if that fails. */
+static bool take_quantities(const cli_settings *settings, cli_eval_report *report) {
   const bool at_f = settings->f.count > 0;
   const unsigned usual = DIPOLE_ALBEDO | (at_f ? DIPOLE_TRANSFER : DIPOLE_R);
   if (!cli_quantities_take(report->profile.info, &settings->wanted, usual, DIPOLE_RADIUS,
@@ -192,8 +193,10 @@ bool cli_eval_take_quantities(const cli_settings *settings, cli_eval_report *rep
   return true;
 }
 
-void cli_eval_set_radii(const cli_settings *settings, const cli_eval_report *report, bool single,
-                        dipole_query *query) {
+/* Sets the radii of a query to those that are requested, in single or double precision; to none if
+ * no quantity has a value for each radius. */
+static void set_radii(const cli_settings *settings, const cli_eval_report *report, bool single,
+                      dipole_query *query) {
   const cli_numbers *list = settings->f.count > 0 ? &settings->f : &settings->r;
   query->spacing = DIPOLE_LIST;
   if ((report->quantities.wanted & ~(CLI_OF_CHANNEL | DIPOLE_RADIUS)) == 0) {
@@ -286,7 +289,7 @@ static bool request_model(requests *run, dipole_error *error) {
     const size_t left = channels - run->channel;
     run->query.media = cli_profile_layers(&report->profile, run->channel);
     run->query.medium_count = (uint32_t)(left < most ? left : most);
-    cli_eval_set_radii(run->settings, report, model->evaluator->id != DIPOLE_F64, &run->query);
+    set_radii(run->settings, report, model->evaluator->id != DIPOLE_F64, &run->query);
     if (CLI_RETRY(run->settings, error,
                   dipole_eval_parts(run->client, &run->query, receive, run, error))) {
       run->channel += run->query.medium_count;
@@ -377,7 +380,7 @@ int cli_eval_request(const cli_settings *settings, dipole_client *client, cli_ev
   }
   const dipole_info *info = report->profile.info;
   if (!choose_models(settings, report) || (settings->deviation && !choose_reference(report)) ||
-      !cli_eval_take_quantities(settings, report)) {
+      !take_quantities(settings, report)) {
     return CLI_USAGE;
   }
   report->chosen = report->models[0].choice == NULL;
@@ -390,7 +393,7 @@ int cli_eval_request(const cli_settings *settings, dipole_client *client, cli_ev
             : cli_choice(info, DIPOLE_EVALUATOR, cli_usual_evaluator(settings, name));
   }
   report->profile.evaluator = NULL; /* the table's own evaluator is in each row */
-  cli_eval_make_values(report);
+  make_values(report);
   requests run = {.settings = settings,
                   .client = client,
                   .report = report,
@@ -648,30 +651,17 @@ static void write_report(const cli_eval_report *report, enum cli_form form) {
 
 /* ---- the command ----------------------------------------------------------------------------- */
 
-/* A file of tables fixes the profile and needs no daemon, so this rejects options that concern
- * either. */
-static int check_table(const cli_settings *settings) {
-  if (cli_medium_given(settings) || settings->model.count > 0 || settings->moments != NULL ||
-      settings->evaluator != NULL || cli_parameters_given(settings) ||
-      settings->deadline_ms.given || settings->connect != NULL || settings->f.count > 0 ||
-      settings->errors) {
-    return cli_fail_usage("--table FILE says what is evaluated, and needs no daemon: of the "
-                          "options leave all out but radii, --wanted and output");
-  }
-  return CLI_OK;
-}
-
 int cli_eval_check(cli_settings *settings) {
   if (settings->f.count > 0 && settings->r.count > 0) {
     return cli_fail_usage("--f is for what ends with _f, and --r for all else: leave one out");
   }
   const bool at_f = settings->f.count > 0;
   if (settings->mci != NULL) {
-    return settings->table != NULL || cli_medium_given(settings) || settings->plot.count > 0
+    return cli_medium_given(settings) || settings->plot.count > 0
                ? cli_fail_usage("--mci has its media and radii in its file: leave the others out")
                : CLI_OK;
   }
-  const int status = settings->table != NULL ? check_table(settings) : cli_medium_check(settings);
+  const int status = cli_medium_check(settings);
   if (status != CLI_OK) {
     return status;
   }
@@ -687,7 +677,7 @@ int cli_eval_check(cli_settings *settings) {
 }
 
 static bool is_local(const cli_settings *settings) {
-  return settings->table != NULL || settings->mci != NULL;
+  return settings->mci != NULL;
 }
 
 static int write_and_draw(const cli_settings *settings, const cli_eval_report *report) {
@@ -700,17 +690,11 @@ static int write_and_draw(const cli_settings *settings, const cli_eval_report *r
 
 static int run_eval(const cli_settings *settings, dipole_client *client) {
   cli_eval_report report = {0};
-  dipole_info *info = NULL;
   if (settings->mci != NULL) {
     return cli_mci(settings);
   }
-  int status = is_local(settings) ? cli_eval_table(settings, &report, &info)
-                                  : cli_eval_request(settings, client, &report);
-  if (status == CLI_OK) {
-    status = write_and_draw(settings, &report);
-  }
-  free(info);
-  return status;
+  const int status = cli_eval_request(settings, client, &report);
+  return status == CLI_OK ? write_and_draw(settings, &report) : status;
 }
 
 const cli_command cli_command_eval = {
@@ -883,9 +867,9 @@ static int sample_run(const cli_settings *settings, dipole_client *client) {
   int status = cli_profile_take(settings, client, &report.profile);
   status = status == CLI_OK ? sample_choose(settings, &report) : status;
   if (status == CLI_OK) {
-    cli_eval_add_model(&report, report.profile.model, true);
+    add_model(&report, report.profile.model, true);
     report.models[0].evaluator = report.profile.evaluator;
-    cli_eval_make_values(&report);
+    make_values(&report);
     status = request_samples(settings, client, &report);
   }
   if (status == CLI_OK) {

@@ -47,13 +47,6 @@ typedef struct cli_eval_report {
   uint64_t seed, first;      /* of drawn radii: seed and position of the first number */
 } cli_eval_report;
 
-/* Adds a model, or notes that it is named if it is there already. Returns what the report has of
- * it, until the next call. */
-cli_eval_model *cli_eval_add_model(cli_eval_report *report, const dipole_choice *model, bool named);
-
-/* Allocates the values of all models and channels. Their arrays are NULL. */
-void cli_eval_make_values(cli_eval_report *report);
-
 /* ---- requests ---------------------------------------------------------------------------------- */
 
 /* The options of an evaluation. */
@@ -70,18 +63,6 @@ int cli_eval_check(cli_settings *settings);
 /* Fills a zeroed report by requests to a daemon. Of all models, those are left out that refuse the
  * query, with a line each on standard error. Says what is wrong and returns an exit status. */
 int cli_eval_request(const cli_settings *settings, dipole_client *client, cli_eval_report *report);
-
-/* Fills a zeroed report from the file of tables, without a daemon. */
-int cli_eval_table(const cli_settings *settings, cli_eval_report *report, dipole_info **info);
-
-/* Sets the radii of a query to those that are requested, in single or double precision; to none if
- * no quantity has a value for each radius. */
-void cli_eval_set_radii(const cli_settings *settings, const cli_eval_report *report, bool single,
-                        dipole_query *query);
-
-/* Looks up the quantities, R and the albedo by default, and sets where values are. Says what is
- * wrong and returns false if that fails. */
-bool cli_eval_take_quantities(const cli_settings *settings, cli_eval_report *report);
 
 /* ---- drawing, in plot.c ---------------------------------------------------------------------- */
 

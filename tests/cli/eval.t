@@ -483,10 +483,6 @@ $ dipole eval --model transport $(for i in 1 2 3 4 5 6 7 8 9; do echo --layer 1,
 ! `dipole eval --help` says more.
 ? 2
 
-$ dipole table --layer 2,5,0.8,1.4,0.05 --layer 0.1,10,0.8,1.33 --tolerance 0.1 --output layers.dt > /dev/null; dipole eval --table layers.dt --r 1 --format csv
-model,channel,layers,r,R,albedo,numerical_error,model_error,evaluator,notes
-transport,1,"2,5,0.8,1.4,0.05 0.1,10,0.8,1.33",1,0.018...,0.268...,0,lut,
-
 $ dipole eval --model better --sigma-a 0 --sigma-s 1 --r 1,1.,.5,+2,1E3,1e+3,1e-400,inf,Infinity,0.1000000000000000055511151231257827
 moments exact, R in 1/mm^2 per unit of power that entered
 

@@ -276,11 +276,6 @@ $ dipole eval --sigma-a 0.1 --sigma-s 1 --deadline-ms -1
 ! `dipole eval --help` says more.
 ? 2
 
-$ dipole eval --table a --deadline-ms 5
-! dipole eval: --table FILE says what is evaluated, and needs no daemon: of the options leave all out but radii, --wanted and output
-! `dipole eval --help` says more.
-? 2
-
 $ dipole eval --sigma-a 0.1 --sigma-s 1 --plot r.pdf
 ! dipole eval: --plot r.pdf: the name must end in .svg or .png; - is the terminal
 ! `dipole eval --help` says more.

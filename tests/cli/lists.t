@@ -103,42 +103,12 @@ blue        0.48     1.01  0  1.3  0.115435     2.91e-11  128  19128            
 numerical error: of R and cdf against the model's formula, as measured
 holds up to: the numerical error of R is larger at radii beyond this one
 model error: of the model against radiative transport
-`dipole eval --table` states both errors for the requested radii
+libdipole and the Python module state both errors for the radii that they evaluate
 per unit of power launched: values times 1 - ((eta - 1) / (eta + 1))^2 = 0.982987 (eta 1.3)
 
 $ dipole table --sigma-a 0.032 --sigma-s 0.74 --model better --g 0.97 --output a.table --format csv
 channel,sigma_a,sigma_s,g,eta,albedo,pieces_from,pieces_to,bytes,numerical_error,reach,model_error
 1,0.032,0.74,0.97,1.3,0.01747984589212022,9.313225746154785e-10,2048,21656,8.439217715535063e-5,inf,
-
-$ dipole eval --table a.table --r 0.1,1 --wanted R,cdf --format csv
-model,channel,sigma_a,sigma_s,g,eta,r,R,cdf,numerical_error,model_error,numerical_error_R,model_error_R,numerical_error_cdf,model_error_cdf,evaluator,notes
-better,1,0.032,0.74,0.97,1.3,0.1,1.3394394e-5,2.4073828e-5,8.439217715536079e-5,,8.439217715536079e-5,,8.439217715536079e-5,,lut,similarity
-better,1,0.032,0.74,0.97,1.3,1,1.3333372e-5,0.0024018935,8.439217715545223e-5,,8.439217715545223e-5,,8.439217715545223e-5,,lut,similarity
-
-$ dipole eval --table a.table --model better
-! dipole eval: --table FILE says what is evaluated, and needs no daemon: of the options leave all out but radii, --wanted and output
-! `dipole eval --help` says more.
-? 2
-
-$ dipole eval --table a.table --wanted dR_dr
-! dipole eval: --wanted dR_dr: a table does not hold it; it holds R, albedo, cdf, pdf, 2_pi_r_R and S
-? 1
-
-$ dipole eval --table a.table --r 1,-1
-! dipole eval: r number 2 of 2: allowed: 0 to inf mm, which the model covers
-? 1
-
-$ dipole eval --table a.table --from 2 --to 1
-! dipole eval: radius_stop: allowed: at least radius_start, finite
-? 1
-
-$ dipole eval --table /nonexistent
-! dipole eval: cannot read /nonexistent: No such file or directory
-? 1
-
-$ head -c 100 a.table | dipole eval --table - --r 1
-! dipole eval: -: table 1: this is not an intact table: it is too short
-? 1
 
 $ dipole table --sigma-a 0.032 --sigma-s 0.74 --output - --format json
 ! dipole table: --output - writes binary to standard output: leave --format out, or name a file

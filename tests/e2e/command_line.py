@@ -26,7 +26,7 @@ TIMEOUT_S = 300.0
 OK, FAILED, USAGE, BAD_ROWS = 0, 1, 2, 3
 
 COMMANDS_WITH_MODELS = ("eval", "plot", "points", "sample", "invert", "fit", "table")
-NAMES_ITS_MODEL = ("--model", "--tolerance", "--table", "--help")
+NAMES_ITS_MODEL = ("--model", "--tolerance", "--help")
 
 
 def of_better(arguments: tuple[str, ...]) -> list[str]:

@@ -72,6 +72,18 @@ def test_same_bits_as_the_daemon(client, case):
     assert_same_bits(client.table(model, medium), client, model, medium)
 
 
+@pytest.mark.parametrize("model", ["better", "better+single", "transport"])
+def test_the_errors_of_the_daemon(client, model):
+    table = client.table(model, SKIN)
+    for r in ([0.0, 1e-12, 0.1, 2.5, 1e4, math.inf], [0.1, 1.0, 3.0], [300.0]):
+        wanted = ["R", "cdf", "pdf", "2_pi_r_R", "albedo"]
+        there = client.eval(model, SKIN, r, evaluator="lut", wanted=wanted).errors
+        for name in wanted:
+            here, asked = table.errors(r, name), [float(one[0]) for one in there[name]]
+            assert [*here][:2] == asked[:2] and here[0] > 0, (name, r)
+            assert not here.model_error < 0.999 * asked[2]  # a table has those of bands of radii
+
+
 def test_the_tolerances_of_the_header(client):
     """dipole.h says which tolerances tables are built to, and which is the default."""
     header = " ".join((REPOSITORY / "clients/c/dipole.h").read_text().split())
