@@ -1,7 +1,7 @@
 /* An example of a renderer that uses libdipole: computes the light that leaves a translucent plane.
  *
  *   cc -O2 irradiance.c $(pkg-config --cflags --libs dipole) -o irradiance
- *   ./irradiance [ADDRESS [PIXELS [POINTS]]]
+ *   ./irradiance [ADDRESS] > irradiance.csv
  *
  * A square of skin, 20 mm wide, is lit on its left half and in a small disk on its right half. The
  * lit part is covered with sample points i, each of which stands for an area A_i and receives the
@@ -14,8 +14,7 @@
  * above the plane, for a disk with the area A_i.
  *
  * The daemon computes M, and then the program itself does, with tables that it fetches: the
- * bits are the same. It writes the numbers as CSV. ADDRESS: see dipole_open(); ""
- * means the default. */
+ * bits are the same. It writes the numbers as CSV. ADDRESS: see dipole_open(). */
 #include <dipole.h>
 #include <math.h>
 #include <stdio.h>
@@ -26,29 +25,17 @@
 #define IRRADIANCE_W_PER_MM2 1.0
 #define TOLERANCE 1e-4
 
-enum { CHANNELS = 3, PIXELS_DEFAULT = 96, POINTS_DEFAULT = 64, MOST = 1024 };
+/* pixels and points along a side of the square */
+enum { CHANNELS = 3, SIDE_PIXELS = 32, SIDE_POINTS = 24, PIXELS = SIDE_PIXELS * SIDE_PIXELS };
+
+static double point[SIDE_POINTS * SIDE_POINTS][3], pixel[PIXELS][3];
+static float power_W[SIDE_POINTS * SIDE_POINTS * CHANNELS];
+static double M[PIXELS][CHANNELS], at_home[PIXELS][CHANNELS];
 
 static _Noreturn void fail(const char *what, const dipole_error *error) {
   fprintf(stderr, "irradiance: %s%s%s\n", what, error != NULL ? ": " : "",
           error != NULL ? error->text : "");
   exit(1);
-}
-
-static void *allocate(size_t count, size_t bytes) {
-  void *memory = calloc(count, bytes);
-  if (memory == NULL) {
-    fail("out of memory", NULL);
-  }
-  return memory;
-}
-
-static size_t size_of(const char *text, size_t usual) {
-  char *end;
-  const unsigned long size = text != NULL ? strtoul(text, &end, 10) : usual;
-  if (size < 1 || size > MOST || (text != NULL && *end != '\0')) {
-    fail("PIXELS and POINTS are from 1 to 1024", NULL);
-  }
-  return size;
 }
 
 static int is_lit(double x, double y) {
@@ -87,8 +74,8 @@ static void find_medium(dipole_client *client, const char *name, dipole_medium *
   free(media);
 }
 
-/* Computes M[query_count][CHANNELS] of a query without the daemon, but for the tables. */
-static void gather_at_home(dipole_client *client, const dipole_gather_query *query, double *M) {
+/* Does without the daemon, but for the tables. */
+static void gather_at_home(dipole_client *client, const dipole_gather_query *query) {
   dipole_table *tables[CHANNELS];
   dipole_error error;
   for (size_t c = 0; c < CHANNELS; c++) {
@@ -99,7 +86,8 @@ static void gather_at_home(dipole_client *client, const dipole_gather_query *que
     }
   }
   if (!dipole_gather_at_home((const dipole_table *const *)tables, query->points, query->tolerance,
-                             query->query_count, query->queries_mm, NULL, NULL, M, NULL, &error)) {
+                             query->query_count, query->queries_mm, NULL, NULL, at_home[0], NULL,
+                             &error)) {
     fail("gather at home", &error);
   }
   for (size_t c = 0; c < CHANNELS; c++) {
@@ -107,39 +95,17 @@ static void gather_at_home(dipole_client *client, const dipole_gather_query *que
   }
 }
 
-static void write_numbers(size_t count, double (*xyz_mm)[3], const double *M) {
-  FILE *file = fopen("irradiance.csv", "w");
-  if (file == NULL) {
-    fail("irradiance.csv", NULL);
-  }
-  fputs("x_mm,y_mm,red_w_per_mm2,green_w_per_mm2,blue_w_per_mm2\n", file);
-  for (size_t i = 0; i < count; i++, M += CHANNELS) {
-    fprintf(file, "%.9g,%.9g,%.9g,%.9g,%.9g\n", xyz_mm[i][0], xyz_mm[i][1], M[0], M[1], M[2]);
-  }
-  if (fclose(file) != 0) {
-    fail("writing irradiance.csv", NULL);
-  }
-}
-
 int main(int argc, char **argv) {
-  const char *address = argc > 1 && argv[1][0] != '\0' ? argv[1] : NULL;
-  const size_t side = size_of(argc > 2 ? argv[2] : NULL, PIXELS_DEFAULT), pixels = side * side;
-  const size_t cells = size_of(argc > 3 ? argv[3] : NULL, POINTS_DEFAULT);
-  const double cell_mm = SIDE_MM / (double)cells, height_mm = cell_mm / sqrt(acos(-1)) / 2;
-  double(*point)[3] = allocate(cells * cells, sizeof *point);
-  double(*pixel)[3] = allocate(pixels, sizeof *pixel);
-  double *M = allocate(pixels * CHANNELS, sizeof *M);
-  double *at_home = allocate(pixels * CHANNELS, sizeof *at_home);
+  const double cell_mm = SIDE_MM / SIDE_POINTS, height_mm = cell_mm / sqrt(acos(-1)) / 2;
   dipole_medium skin[CHANNELS];
   dipole_points *points;
   dipole_client *client;
   dipole_error error;
-  const size_t lit = place_cells(cells, 1, 0, point);
-  float *power_W = allocate(lit * CHANNELS, sizeof *power_W);
+  const size_t lit = place_cells(SIDE_POINTS, 1, 0, point);
   for (size_t i = 0; i < lit * CHANNELS; i++) {
     power_W[i] = (float)(IRRADIANCE_W_PER_MM2 * cell_mm * cell_mm);
   }
-  if (!dipole_open(address, &client, &error) ||
+  if (!dipole_open(argc > 1 ? argv[1] : NULL, &client, &error) ||
       !dipole_points_make(lit, CHANNELS, point[0], power_W, &points, &error)) {
     fail("open", &error);
   }
@@ -150,23 +116,21 @@ int main(int argc, char **argv) {
                                      .points = points,
                                      .media = skin,
                                      .queries_mm = pixel[0],
-                                     .query_count = place_cells(side, 0, height_mm, pixel),
+                                     .query_count = place_cells(SIDE_PIXELS, 0, height_mm, pixel),
                                      .tolerance = TOLERANCE};
-  printf("%zu pixels, %zu points, %d channels\n", pixels, lit, CHANNELS);
-  if (!dipole_gather(client, &query, NULL, NULL, M, NULL, &error)) {
+  if (!dipole_gather(client, &query, NULL, NULL, M[0], NULL, &error)) {
     fail("gather", &error);
   }
-  gather_at_home(client, &query, at_home);
-  const int same = memcmp(M, at_home, pixels * CHANNELS * sizeof *M) == 0;
-  printf("the bits at home are %s\n", same ? "the same" : "others");
-  write_numbers(pixels, pixel, M);
+  gather_at_home(client, &query);
+  if (memcmp(M, at_home, sizeof M) != 0) {
+    fail("the bits at home are others", NULL);
+  }
+  puts("x_mm,y_mm,red_w_per_mm2,green_w_per_mm2,blue_w_per_mm2");
+  for (size_t i = 0; i < PIXELS; i++) {
+    printf("%.9g,%.9g,%.9g,%.9g,%.9g\n", pixel[i][0], pixel[i][1], M[i][0], M[i][1], M[i][2]);
+  }
   dipole_close(client);
   dipole_points_free(points);
-  free(power_W);
-  free(at_home);
-  free(M);
-  free(pixel);
-  free(point);
   if (fflush(stdout) != 0 || ferror(stdout)) {
     fail("writing standard output", NULL);
   }
