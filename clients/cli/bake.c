@@ -358,8 +358,7 @@ static int make_profile(bake *of) {
   query.radii = r_mm;
   query.radius_count = fine;
   if (!CLI_RETRY(of->settings, &error, dipole_eval(of->client, &query, &result, &error))) {
-    cli_fail_error(&error);
-    return CLI_FAILED;
+    return cli_fail_error(&error);
   }
   set_rows(&of->sheet, size, 7, names);
   of->sheet.width = size;
@@ -419,8 +418,7 @@ static bool ask_albedos(const bake *of, const dipole_choice *light, size_t count
                                       .parameters = &tolerance,
                                       .parameter_count = 1};
   if (!CLI_RETRY(settings, &error, dipole_varying(of->client, &query, &result, &error))) {
-    cli_fail_error(&error);
-    return false;
+    return cli_fail_error(&error) == CLI_OK;
   }
   memcpy(albedos, dipole_coefficients_f64(result, DIPOLE_SCATTERED), count * sizeof *albedos);
   dipole_varying_result_free(result);

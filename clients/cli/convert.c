@@ -225,8 +225,7 @@ static bool find_colours(const material *of, unsigned model, const dipole_medium
       return cli_fails("--colour: channel %llu is too dark for its g; allowed is sigma_a %s",
                        (unsigned long long)error.index + 1, error.allowed);
     }
-    cli_fail_error(&error);
-    return false;
+    return cli_fail_error(&error) == CLI_OK;
   }
   for (size_t i = 0; i < of->count; i++) {
     colours[i] = result->channels[i].albedo;
@@ -251,17 +250,15 @@ static bool find_media(const material *of, unsigned model, unsigned given, const
                                        .lengths_mm = &lengths_mm[i],
                                        .medium_count = 1};
     if (!CLI_RETRY(of->settings, &error, dipole_invert(of->client, &query, &found, &error))) {
-      cli_fail_error(&error);
-      return false;
+      return cli_fail_error(&error) == CLI_OK;
     }
     media[i].sigma_a_per_mm = found->sigma_a_per_mm[0];
     media[i].sigma_s_per_mm = found->sigma_s_per_mm[0];
     const bool missing = found->missing_count > 0;
     dipole_inversion_free(found);
     if (missing) {
-      cli_fail("--colour: channel %zu: no medium has the colour %g and the length", i + 1,
-               colours[i]);
-      return false;
+      return cli_fails("--colour: channel %zu: no medium has the colour %g and the length", i + 1,
+                       colours[i]);
     }
   }
   return true;
@@ -582,8 +579,7 @@ static bool find_convention(const char *option, const char *name, const conventi
     snprintf(known + strlen(known), sizeof known - strlen(known), ", %s", conventions[i].name);
   }
   if (*found == NULL && strcmp(name, COEFFICIENTS) != 0) {
-    cli_fail_usage("--%s: '%s' is unknown; there are %s", option, name, known);
-    return false;
+    return cli_fails_usage("--%s: '%s' is unknown; there are %s", option, name, known);
   }
   return true;
 }

@@ -21,8 +21,7 @@ bool cli_edge_radii(const cli_settings *settings, dipole_client *client, const d
                                      .draw = DIPOLE_DRAW_REGULAR,
                                      .sample_count = CLI_EDGE_RADII};
   if (!CLI_RETRY(settings, &error, dipole_sample(client, &query, &result, &error))) {
-    cli_fail_error(&error);
-    return false;
+    return cli_fail_error(&error) == CLI_OK;
   }
   *r_mm = cli_allocate(count * CLI_EDGE_RADII, sizeof **r_mm);
   for (size_t i = 0; i < count; i++) {
@@ -38,8 +37,8 @@ bool cli_edge_radii(const cli_settings *settings, dipole_client *client, const d
   dipole_result_free(result);
   for (size_t i = 0; i < count; i++) {
     if (!((*r_mm)[i * CLI_EDGE_RADII] > 0)) {
-      cli_fail("channel %zu: it does not scatter: no light leaves beside where it entered", i + 1);
-      return false;
+      return cli_fails("channel %zu: it does not scatter: no light leaves beside where it entered",
+                       i + 1);
     }
   }
   return true;

@@ -160,13 +160,12 @@ static bool choose_models(const cli_settings *settings, cli_eval_report *report)
 }
 
 static bool choose_reference(cli_eval_report *report) {
-  const dipole_choice *model = cli_choice(report->profile.info, DIPOLE_MODEL, CLI_MODEL_DEFAULT);
-  if (model == NULL) {
-    return cli_fails("this daemon has no model " CLI_MODEL_DEFAULT
-                     " to compare with: leave --error out");
+  const dipole_choice *model =
+      cli_named(report->profile.info, DIPOLE_MODEL, "model", CLI_MODEL_DEFAULT);
+  if (model != NULL) {
+    add_model(report, model, false)->is_reference = true;
   }
-  add_model(report, model, false)->is_reference = true;
-  return true;
+  return model != NULL;
 }
 
 /* ---- quantities and radii -------------------------------------------------------------------- */

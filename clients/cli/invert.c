@@ -229,12 +229,9 @@ static int run_invert(const cli_settings *settings, dipole_client *client) {
     return CLI_USAGE;
   }
   of.light = cli_named(of.profile.info, DIPOLE_LIGHT, "light", settings->light);
-  if (of.light == NULL) {
+  of.given = cli_named(of.profile.info, DIPOLE_LENGTH, "length", length);
+  if (of.light == NULL || of.given == NULL) {
     return CLI_USAGE;
-  }
-  of.given = cli_choice(of.profile.info, DIPOLE_LENGTH, length);
-  if (of.given == NULL) {
-    return cli_fail("--%s: this daemon does not know it; name another length", length);
   }
   if (!request_media(client, settings, &of, &error)) {
     return fail_request(&of, length, &error);

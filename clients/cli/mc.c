@@ -71,9 +71,6 @@ static int check(cli_settings *settings) {
   if (!(photons >= 1 && photons <= 0x1p53 && photons == floor(photons))) {
     return cli_fail_usage("--photons: give a whole number from 1 to 9e15, such as 2000000 or 2e6");
   }
-  if (settings->albedo.count > UINT16_MAX) {
-    return cli_fail_usage("--albedo: give at most %d", UINT16_MAX);
-  }
   return CLI_OK;
 }
 

@@ -62,8 +62,7 @@ static bool read_numbers(mci_file *in, size_t count, double numbers[], const cha
     }
   }
   if (read < count || at[strspn(at, " \t")] != '\0') {
-    cli_fail("%s:%d: '%s': expected %s", in->path, in->line, in->text, expected);
-    return false;
+    return cli_fails("%s:%d: '%s': expected %s", in->path, in->line, in->text, expected);
   }
   return true;
 }
@@ -79,8 +78,8 @@ typedef struct mci_run {
 static bool read_run(mci_file *in, mci_run *run) {
   double photons, cell[2], counts[3], layers, numbers[5];
   if (!read_line(in) || sscanf(in->text, "%255s", run->name) != 1) {
-    cli_fail("%s:%d: a run is missing: expected the name of its output file", in->path, in->line);
-    return false;
+    return cli_fails("%s:%d: a run is missing: expected the name of its output file", in->path,
+                     in->line);
   }
   if (!read_numbers(in, 1, &photons, "the number of photons") ||
       !read_numbers(in, 2, cell, "dz and dr, in cm") ||
@@ -92,12 +91,11 @@ static bool read_run(mci_file *in, mci_run *run) {
   run->dr_cm = cell[1];
   run->rings = counts[1];
   if (!(run->rings >= 1 && run->rings <= RINGS_MAX && run->dr_cm > 0)) {
-    cli_fail("%s:%d: give a dr above 0, and 1 to 1e5 of them", in->path, in->line);
-    return false;
+    return cli_fails("%s:%d: give a dr above 0, and 1 to 1e5 of them", in->path, in->line);
   }
   if (!(layers >= 1 && layers <= SOLVER_LAYERS_MAX)) {
-    cli_fail("%s:%d: %g layers: allowed: 1 to %d", in->path, in->line, layers, SOLVER_LAYERS_MAX);
-    return false;
+    return cli_fails("%s:%d: %g layers: allowed: 1 to %d", in->path, in->line, layers,
+                     SOLVER_LAYERS_MAX);
   }
   for (run->count = 0; run->count < (size_t)layers; run->count++) {
     if (!read_numbers(in, 5, numbers, "n, mua, mus, g and d of a layer, in cm")) {

@@ -138,7 +138,7 @@ static int take_layer(const cli_settings *settings, dipole_client *client, cli_p
                       uint32_t layer) {
   const size_t count = profile->channel_count;
   const char *text = settings->tissue.items[layer];
-  dipole_parameter properties[CORE_PROPERTIES_END];
+  dipole_parameter properties[CORE_PROPERTIES_END + 3];
   dipole_medium *media = cli_allocate(count, sizeof *media);
   dipole_error error;
   dipole_tissue_query query = {.haemoglobin = profile->haemoglobin->id,
@@ -147,9 +147,6 @@ static int take_layer(const cli_settings *settings, dipole_client *client, cli_p
                                CLI_DEADLINE_OF(settings)};
   if (!cli_tissue_read(profile->info, text, &query, properties)) {
     return CLI_USAGE;
-  }
-  if (query.property_count + settings->scatter.count > CORE_PROPERTIES_END) {
-    return cli_fail_usage("--tissue %s: too many properties", text);
   }
   for (size_t i = 0; i < settings->scatter.count; i++) {
     properties[query.property_count++] = (dipole_parameter){

@@ -161,3 +161,11 @@ $ for one in 'kernel --medium skin1 --format cube' 'formula --format cube' 'lut 
 $ dipole bake burley --sigma-a 1 --sigma-s 0
 ! dipole bake: channel 1: it does not scatter: no light leaves beside where it entered
 ? 1
+
+$ for one in 'formula --light lamp' 'kernel --medium skin1 --channel red,green'; do dipole bake $one || echo $?; done
+2
+2
+! dipole bake: --light: beam or diffuse
+! `dipole bake --help` says more.
+! dipole bake: give one channel or three: red, green and blue
+! `dipole bake --help` says more.

@@ -156,3 +156,27 @@ $ echo '{}' > x; dipole convert --from coefficients --medium skin1 --thickness 2
 ! `dipole convert --help` says more.
 ! dipole convert: x: files are read --from openpbr, materialx, standard-surface, gltf, gltf-volume-scatter and pbrt
 ! `dipole convert --help` says more.
+
+$ for one in '--to dspbr --format native' '--length inf' '--length 1,0'; do dipole convert --from openpbr --colour .5,.4 --length 1,1 $one || echo $?; done; dipole convert --from openpbr --colour .5,.4,.3 --length 1 --g .1,.2 || echo $?; dipole convert --from coefficients --medium skin-dark || echo $?
+2
+2
+2
+2
+2
+! dipole convert: --format native: dspbr has none; take json or csv
+! `dipole convert --help` says more.
+! dipole convert: --length: inf is not more than 0 and finite
+! `dipole convert --help` says more.
+! dipole convert: --length: 0 is not more than 0 and finite
+! `dipole convert --help` says more.
+! dipole convert: --g, --eta: one for all channels, or one for each
+! `dipole convert --help` says more.
+! dipole convert: --medium skin-dark has layers: this command takes half spaces
+! `dipole convert --help` says more.
+
+$ printf '<materialx><standard_surface/></materialx>' > x.mtlx; dipole convert --from openpbr x.mtlx || echo $?; printf 'Material "diffuse"' > x.pbrt; dipole convert --from pbrt x.pbrt; printf '\0' > x; dipole convert --from gltf x
+1
+! dipole convert: x.mtlx: it has no element open_pbr_surface, which this --from reads
+! dipole convert: x.pbrt: it has no material "subsurface"
+! dipole convert: x: it is larger than 16 MiB, or no text
+? 1

@@ -530,3 +530,11 @@ $ for one in '--tolerance 1e-9' '--tolerance 2' '--tolerance .1 --eta 0' '--tole
 ! dipole eval: bad-value: r number 2 of 2: allowed: 0 to infinity, in mm (--r)
 ! dipole eval: bad-value: radius_stop: allowed: at least radius_start, finite (--to)
 ! dipole eval: bad-value: tolerance: allowed: at least 0.000101 (best: transport, solved) (--tolerance)
+
+$ printf '1.0\n1\n' > a.mci; printf '1.0\n1\na.mco A\n1\n.1 .1\n1 1 1\n9\n1\n' > b.mci; printf '1.0\n1\na.mco A\n1\n.1 .1\n1 1 1\n1\n1\n1.4 1 10 .8 .1 5\n' > c.mci; for i in a b c; do dipole eval --mci $i.mci || echo $?; done
+1
+1
+1
+! dipole eval: a.mci:2: a run is missing: expected the name of its output file
+! dipole eval: b.mci:8: 9 layers: allowed: 1 to 8
+! dipole eval: c.mci:9: '1.4 1 10 .8 .1 5': expected n, mua, mus, g and d of a layer, in cm

@@ -188,3 +188,18 @@ $ printf 'sample,r,R,error\n"a\377\300\257\355\240\200\365 b\303\244\360\237\230
 $ printf 'sample,r,R,error\na,.5,.02,.0004\na,1,.006,.0001\na,2,.001,.00002\nb,.5,.03,.0004\nb,1,.009,.0001\nb,2,.0015,.00002\n' | dipole fit --model better --eta 1.4 --format csv > x; printf '# a comment\r\nwho,error,R,comment,r,sample\r\n\r\nme,.0004,.02,"odd, ""quoted""",.5,a\r\nme,.0004,.03,,.5,b\r\nme,.0001,.006,,1,a\r\nme,.0001,.009,,1,b\r\nme,.00002,.001,,2,a\r\nme,.00002,.0015,,2,b\r\n' | dipole fit --model better --eta 1.4 --format csv | cmp - x
 ! dipole fit: standard input: 2 of 2 samples were not fitted: see the column status
 ! dipole fit: standard input: 2 of 2 samples were not fitted: see the column status
+
+$ dipole eval --sigma-a 0.01 --sigma-s 1 --eta 1.4 --model better --r 0.5,1,2,4 --format csv > known; paste -d, skin.csv known | awk -F, 'NR == 1 { print "r,R,error"; next } { print $2 "," $3 / $12 "," $3 / $12 / 100 }' | dipole fit --model better --eta 1.4 --reference 0.01,1,0,1.4 --format csv | cut -d, -f2,3,9,17
+sigma_a,sigma_s_prime,scale,status
+0.04999999926800088,0.9999998431541128,1,fitted
+
+$ dipole fit two.csv $(for i in 1 2 3 4 5 6 7 8 9; do echo --layer x,1,0,1.4,1; done); dipole eval --layer .3,1,0,1.4,.8 --layer .02,1,0,1.4 --r .2,.5,1,2,5 --wanted R --format csv | awk -F, '{ R = $(NF - 4); print $(NF - 5) "," R "," (NR > 1 ? R / 100 : "error") }' | dipole fit --layer x,1,0,1.4,0.8 --layer x,1,0,1.4 --format csv | cut -d, -f1-5
+sample,unknown,value,error,status
+1,sigma_a_1,0.3000012480577316,0.003237649018344789,fitted
+1,sigma_a_2,0.01999981279346008,9.487318849285859e-4,fitted
+! dipole fit: --layer: 9 layers: give at most 8
+! `dipole fit --help` says more.
+
+$ for i in a b c d e f g h i; do sed 1d skin.csv | sed s/skin/$i/; done | cat - | sed '1s/^/sample,r,R,error\n/' | dipole fit --model better --eta 1.4 --plot nine.svg --format csv | wc -l
+10
+! dipole fit: the picture shows the first 8 of 9 samples

@@ -181,3 +181,18 @@ sample,unknown,value,error
 1,b,1.1999999198421833,0.02951666314913326
 1,saturation,0.699999824382381,0.004485935480328407
 1,total_uM,79.99987925644373,0.6143461341275079
+
+$ dipole fit bands.csv --unknown hbo2 --tissue a=1 --tissue b=1; dipole fit bands.csv --unknown $(printf 'hb,%.0s' $(seq 40))hb --tissue a=1,b=1; dipole fit bands.csv --unknown hbo2 --gamma 1.5 --tissue a=1,b=1; dipole fit bands.csv --unknown hbo2,hb,water,a,b --tissue fat=.3 --detector-na .3 --format csv | cut -d, -f2,3,5
+unknown,value,numerical
+hbo2_uM,0,0.03744107892318969
+hb_uM,0,0.018866539380163392
+water_fraction,0,2.9988195282491684e-4
+a_per_mm,1.2352302053782345,0.0084652771649367
+b,1.1267542213233877,0.01243248833476743
+! dipole fit: --tissue: a fit of a tissue has no layers: give one
+! `dipole fit --help` says more.
+! dipole fit: --unknown: too many
+! `dipole fit --help` says more.
+! dipole fit: --unknown: no parameter but --detector-na goes with it
+! `dipole fit --help` says more.
+! dipole fit: bands.csv: 1 of 1 samples were not fitted whole: see the column status

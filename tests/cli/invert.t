@@ -157,3 +157,7 @@ $ printf 'albedo,g\n0.25,0.8\n' | dipole invert - --mean-free-path 1
 $ printf 'albedo,mean_free_path\n0.25,\n' | dipole invert -
 ! dipole invert: standard input: line 2: mean_free_path: there is no number
 ? 1
+
+$ printf 'mean_free_path\n1\n' | dipole invert -
+! dipole invert: standard input: the column albedo is missing; the header has mean_free_path; it needs albedo, and a length such as mean_free_path unless an option gives it
+? 1

@@ -167,3 +167,13 @@ $ dipole plot --sigma-a 0.05 --sigma-s 50 --g 0.995 --eta 1.4 --model better --e
 ! dipole plot: transport is left out: bad-value: g: allowed: -0.98 to 0.99 with transport (--g)
 ! dipole plot: --error: there is nothing to compare with: leave --error out
 ? 1
+
+$ dipole plot --medium skin1 --channel red --model better --error --r 1,2,4 --plot a.svg; grep -o 'transport\|>better<' a.svg | sort | uniq -c
+      1 >better<
+      1 transport
+
+$ dipole plot --layer .1,10,.8,1.4,.1 --layer .02,10,.8,1.4 --r 1,2 --model transport --plot b.svg; grep -o '2 layers' b.svg; dipole eval --medium skin1 --wanted cdf,R --r 1,2 --model better --plot c.svg > /dev/null; head -c 5 c.svg; echo
+2 layers
+<?xml
+
+$ dipole plot --medium skin1,marble --g .99 --channel red --error --plot d.svg --r 1,2 --model better

@@ -208,3 +208,19 @@ $ for name in evaluator evaluater tolerence Model sigma-a fit_form; do printf "s
 ! dipole points: standard input: the column sigma-a is not read; the nearest that is read is sigma_a: rename it
 ! dipole points: standard input: the column fit_form is not read; the nearest that is read is fit_from: rename it
 ? 1
+
+$ printf 'layers,sigma_a,sigma_s,g,eta,r\n"1,10,.8,1.4,.1 .1,10,.8,1.4",,,.8,,1\n' | dipole points --model better --wanted R; printf 'sigma_a,sigma_s,g,eta,r\n0.01,1,0,1.4,2,,\n' | dipole points --model better --wanted R; dipole points --wanted balance one.csv
+layers,sigma_a,sigma_s,g,eta,r,R,status
+"1,10,.8,1.4,.1 .1,10,.8,1.4",,,.8,,1,,g: its layers have theirs: leave the cell empty
+sigma_a,sigma_s,g,eta,r,R,status
+0.01,1,0,1.4,2,,"the row: 7 cells: allowed: 5, as many as in the header",,
+! dipole points: standard input: 1 of 1 rows were bad: see the column status
+! dipole points: standard input: 1 of 1 rows were bad: see the column status
+! dipole points: --wanted balance: rows have no room for its shares; use dipole eval
+! `dipole points --help` says more.
+? 2
+
+$ awk 'BEGIN { print "sigma_a,sigma_s,g,eta,r"; for (i = 0; i < 258; i++) print .01 + i / 1e4 ",1,.1,1.4,1" }' > many.csv; dipole points many.csv --wanted R --errors | tail -2; dipole eval --sigma-a .0357 --sigma-s 1 --g .1 --eta 1.4 --r 1 --wanted R --format csv | tail -1
+0.0356,1,.1,1.4,1,0.015780067,2.998480261549287e-4,0,ok
+0.0357,1,.1,1.4,1,0.015771737,2.998480261549287e-4,0,ok
+transport,1,0.0357,1,0.1,1.4,1,0.015771745,3.2203793702233907e-4,0,lut,

@@ -108,3 +108,22 @@ $ dipole tissue --tissue liver || dipole eval --tissue liver --wavelengths 650 -
 ! dipole eval: --wavelengths are those of a tissue: give --tissue too
 ! `dipole eval --help` says more.
 ? 2
+
+$ for one in 650:900 650:900:0:1 650:x:5; do dipole tissue --tissue liver --wavelengths $one || echo $?; done; dipole tissue $(for i in 1 2 3 4 5 6 7 8 9; do echo --tissue liver; done) --wavelengths 650; dipole tissue --tissue liver --scatter 1 --wavelengths 650; dipole tissue --tissue epidermis --tissue dermis --wavelengths 650; dipole tissue --tissue $(printf 'g=.8,%.0s' $(seq 30))g=.8 --wavelengths 650
+2
+2
+2
+! dipole tissue: --wavelengths: '650:900' is no wavelength in nm, and no FROM:TO:STEP as 450:1000:5
+! `dipole tissue --help` says more.
+! dipole tissue: --wavelengths: '650:900:0:1' is no wavelength in nm, and no FROM:TO:STEP as 450:1000:5
+! `dipole tissue --help` says more.
+! dipole tissue: --wavelengths: '650:x:5' is no wavelength in nm, and no FROM:TO:STEP as 450:1000:5
+! `dipole tissue --help` says more.
+! dipole tissue: --tissue: 9 layers: give at most 8
+! `dipole tissue --help` says more.
+! dipole tissue: --scatter: give A,B or A,B,SHARE, as 4.6,1.42
+! `dipole tissue --help` says more.
+! dipole tissue: --tissue epidermis: only the last layer may be a half space: add thickness=MM
+! `dipole tissue --help` says more.
+! dipole tissue: --tissue g=.8,g=.8,g=.8,g=.8,g=.8,g=.8,g=.8,g=.8,g=.8,g=.8,g=.8,g=.8,g=.8,g=.8,g=.8,g=.8,: bad-value: parameter: allowed: each at most once
+? 1
