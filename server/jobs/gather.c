@@ -1,6 +1,7 @@
 /* Gather: sums the light of a set of points at many positions, slice by slice. */
 #include "core/gather/gather.h"
 
+#include <assert.h>
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
@@ -184,20 +185,15 @@ static wire_error admit_queries(struct gather_job *gather) {
 /* Cuts the reply into parts, which also tell the client how far the sums have come: none takes much
  * longer than a second of a core, so that no client thinks that the daemon hangs. A query that takes
  * longer by itself has parts without a sum before its own. */
-static wire_error cut_reply(struct gather_job *gather) {
+static void cut_reply(struct gather_job *gather) {
   const wire_gather_request *fixed = &gather->request.fixed;
   const uint64_t head_bytes = gather_sums_offset(fixed->medium_count);
   const uint64_t part_bytes = gather->job.context->server->options.max_part_bytes;
-  uint64_t most = part_bytes > head_bytes
-                      ? (part_bytes - head_bytes) / (fixed->medium_count * sizeof(double))
-                      : 0;
+  assert(part_bytes >= head_bytes + CORE_GATHER_CHANNELS_MAX * sizeof(double)); /* options.def */
+  uint64_t most = (part_bytes - head_bytes) / (fixed->medium_count * sizeof(double));
   const uint64_t in_time = gather->whole ? UINT64_MAX : PART_RADII / gather->query_radii;
   most = most < GATHER_PART_QUERIES ? most : GATHER_PART_QUERIES;
   most = most <= in_time ? most : in_time > 0 ? in_time : 1;
-  if (part_bytes < head_bytes + fixed->medium_count * sizeof(double)) {
-    return wire_error_make(WIRE_STATUS_TOO_LARGE, "medium_count",
-                           "fewer media: they do not fit into a part (max_part_bytes)");
-  }
   job_parts_cut(&gather->parts, fixed->query_count, most);
   const uint64_t pieces = 1 + gather->query_radii / PART_RADII;
   const uint64_t pieces_most = UINT32_MAX / gather->parts.part_count;
@@ -205,7 +201,6 @@ static wire_error cut_reply(struct gather_job *gather) {
   gather->piece_count = (uint32_t)(most > 1 || gather->whole ? 1
                                    : pieces < pieces_most    ? pieces
                                                              : pieces_most);
-  return wire_error_none();
 }
 
 /* Prepares the sum, when all profiles are there. */
@@ -263,10 +258,10 @@ static void begin_sums(struct gather_job *gather) {
 
 /* Begins the first part. The cost of the job is known. */
 static enum job_outcome begin_first(struct gather_job *gather) {
-  if (!job_passes(&gather->job, admit_queries(gather)) ||
-      !job_passes(&gather->job, cut_reply(gather))) {
+  if (!job_passes(&gather->job, admit_queries(gather))) {
     return JOB_REFUSED;
   }
+  cut_reply(gather);
   begin_sums(gather);
   return JOB_GOES_ON;
 }

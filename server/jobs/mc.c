@@ -93,23 +93,6 @@ static uint64_t clock_ms(void) {
 
 /* ---- checking -------------------------------------------------------------------------------- */
 
-/* Returns the name on the wire of a field that core has named. */
-static const char *wire_field(const char *field) {
-  static const struct {
-    const char *core, *wire;
-  } others[] = {
-      {"sigma_t", "sigma_s"},
-      {"radius_spacing", "spacing"},
-      {"radius_count", "ring_count"},
-  };
-  for (size_t i = 0; i < sizeof others / sizeof others[0]; i++) {
-    if (strcmp(field, others[i].core) == 0) {
-      return others[i].wire;
-    }
-  }
-  return field;
-}
-
 /* Makes the request for core. The medium has been checked. */
 static void set_request(struct mc_task *task, const mc_request *wire) {
   core_mc_request *request = &task->request;
@@ -150,7 +133,6 @@ static wire_error check_task(struct mc_task *task, const struct server *server,
     fault = core_mc_check(&task->request);
   }
   if (fault.field != NULL) {
-    fault.field = wire_field(fault.field);
     return job_error(fault);
   }
   const bool fits = mc_reply_layout(task->side_count, (uint32_t)task->request.albedo_count,
@@ -214,23 +196,8 @@ static double total_error(const struct mc_task *task) {
   return worst;
 }
 
-/* Returns whether scattered light has left on any side. */
-static bool light_leaves(const struct mc_task *task) {
-  for (size_t k = 0; k < task->request.albedo_count; k++) {
-    core_mc_energy energy;
-    core_mc_total_energy(task->total, k, &energy);
-    for (size_t side = 0; side < CORE_MC_SIDES; side++) {
-      if (energy.left[side].value > energy.unscattered[side]) {
-        return true;
-      }
-    }
-  }
-  return false;
-}
-
 /* begin_worst(), note_worst() for each ring, and end_worst() find the largest relative error among
- * the rings that light has reached. It is infinite while no ring has light, and 0 if no scattered
- * light leaves at all. */
+ * the rings that light has reached. It is infinite while no ring has light. */
 static void begin_worst(struct mc_task *task) {
   task->progress.error_rings = -1;
   task->progress.worst_from = task->progress.worst_to = 0;
@@ -254,8 +221,7 @@ static void note_worst(struct mc_task *task, uint32_t albedo, uint32_t side) {
 
 static void end_worst(struct mc_task *task) {
   if (task->progress.error_rings < 0) {
-    const bool known = core_mc_total_batches(task->total) >= 2 && !light_leaves(task);
-    task->progress.error_rings = known ? 0 : (double)INFINITY;
+    task->progress.error_rings = (double)INFINITY;
   }
 }
 

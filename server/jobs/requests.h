@@ -44,10 +44,9 @@ struct requests {
 void requests_init(struct requests *requests, struct input *input, struct output *output,
                    void (*wake)(void *owner), void *owner);
 
-/* Returns whether a request has arrived completely and is not served. */
+/* Returns whether a request is under way. */
 static inline bool requests_wait(const struct requests *requests) {
-  return requests->run.state != RUN_IDLE || requests->detached_count > 0 ||
-         input_has_frame(requests->input);
+  return requests->run.state != RUN_IDLE || requests->detached_count > 0;
 }
 
 /* Returns whether the first frame of the input is in use, or waits. */

@@ -107,10 +107,7 @@ static bool read_url(struct modbus_device *device, const char *url) {
   const char *wrong = NULL;
   unsigned place = 0;
   *device = (struct modbus_device){.baud = 19200, .parity = 'E', .stop_bits = 1, .number = 1};
-  const int length = snprintf(text, sizeof text, "%s", url + strlen("rtu:"));
-  if (length < 0 || (size_t)length >= sizeof text) {
-    wrong = read_path(device, "");
-  }
+  snprintf(text, sizeof text, "%s", url + strlen("rtu:")); /* what is right is shorter */
   while (wrong == NULL && rest != NULL) {
     wrong = read_part(device, strsep(&rest, ","), &place);
   }

@@ -270,15 +270,6 @@ uint64_t input_partial_id(const struct input *input) {
   return header.request_id;
 }
 
-bool input_has_frame(const struct input *input) {
-  wire_header header;
-  if (input->skip_bytes > 0 || held(input) < WIRE_BYTES_header) {
-    return false;
-  }
-  wire_get_header(input->bytes + input->begin, &header);
-  return held(input) - WIRE_BYTES_header >= header.payload_bytes;
-}
-
 /* ---- output ---------------------------------------------------------------------------------- */
 
 /* A chunk holds a few hundred small replies, which one system call then writes. */

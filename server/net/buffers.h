@@ -107,9 +107,6 @@ bool input_partial(const struct input *input);
  * complete. */
 uint64_t input_partial_id(const struct input *input);
 
-/* Returns whether a complete frame has not been dealt with. */
-bool input_has_frame(const struct input *input);
-
 /* ---- output ---------------------------------------------------------------------------------- */
 
 struct output_chunk;

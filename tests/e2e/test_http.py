@@ -326,6 +326,7 @@ FAULTS = {
         ({"medium": {**SKIN, "sigma_s": -1}}, "sigma_s"), ({"medium": '"[[[[['}, "medium"), ({"medium": [SKIN] * 65}, "medium_count", 0, 413),
         ({"sigma_a": 1}, "sigma_a"), ({"radius_count": 5}, "radius_count"), ({"spacing": "linear"}, "spacing"),
         ({"radius_start": 1}, "radius_start"), ({"tolerance": 2}, "tolerance"), ({"thickness": 1}, "thickness"),
+        ({"thickness": "x"}, "thickness"), ({"medium": [[SKIN] * 9]}, "layer_count"), ({"fit_model": "x"}, "fit_model"),
         ({"deadline_ms": -1}, "deadline_ms"), ({"deadline_ms": 2**40}, "deadline_ms"),
         ({"medium_count": 1}, "medium_count"), ({"unknown": 1}, "unknown"), ({"n" * 100: 1}, "body"),
     ],
@@ -424,6 +425,11 @@ def test_faults_say_what_to_do(served):
     assert "(better)" in unknown and unknown.endswith("/v1/models")
     twice = refusal(get(served, "/v1/eval?model=better&medium=skin1&r=1&r=2"))["allowed"]
     assert "r=0.5,1,2" in twice
+    uneven = refusal(get(served, "/v1/eval?sigma_a=1,2&sigma_s=1,2,3&r=1"))
+    assert uneven["field"] == "sigma_s" and "as many" in uneven["allowed"]
+    assert "one medium" in refusal(get(served, "/v1/table?medium=skin1"))["allowed"]
+    for sought in ({"low": 1}, {"property": "hb_uM", "low": "x"}, {"property": "x"}):
+        assert refusal(post(served, "/v1/fit_tissue", sought=["b", sought]))["field"] == "sought"
     media = [SKIN, SKIN, {"sigma_a": 1}]
     for last in ({"sigma_a": 1}, {"sigma_a": 1, "sigma_s": "x"}, {"x": 1}, "skin9", None):
         media[2] = last

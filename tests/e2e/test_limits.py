@@ -6,14 +6,16 @@ import socket
 import threading
 
 import dipole
+import numpy as np
 import pytest
 from daemons import Daemon, eventually, sanitized
 from dipole import Frame, wire
 from frames import (
     ALBEDO, EVAL, PING, SKIN, STATISTICS, R, ask, assert_closed, assert_daemon_serves,
-    assert_error, assert_serves, eval_payload, frame, head_bytes, header, read_statistics, serves,
-    statistics,
+    assert_error, assert_serves, eval_payload, frame, gather_payload, head_bytes, header,
+    read_statistics, serves, statistics, table_payload, tissue_payload, varying_payload,
 )
+from messages import FOUR, GATHER, PLACES, POINTS_SENT, send_points
 
 PONG = PING | wire.REPLY
 EVALUATED = EVAL | wire.REPLY
@@ -34,6 +36,26 @@ def test_request_of_the_largest_size(small_frames):
     assert len(payload) == 4096
     assert ask(small_frames, EVAL, payload).type == EVALUATED
     assert_serves(small_frames)
+
+
+def test_frames_behind_one_of_an_odd_length(small_frames):
+    """They are read from where it ends."""
+    small_frames.send_bytes(frame(PING, 1, b"1234") + frame(EVAL, 2, eval_payload(radii=[1.0])))
+    assert_error(small_frames.receive_frame(), "bad-length", "payload_bytes", "multiple of 8", request_id=1)
+    reply = small_frames.receive_frame()
+    assert reply.payload == ask(small_frames, EVAL, eval_payload(radii=[1.0])).payload
+
+
+def test_a_frame_that_leaves_the_input_gives_its_memory_back(daemon):
+    one = daemon()
+    with one.connect() as watcher:
+        statistics(watcher)
+        before = statistics(watcher)["buffer_bytes"]
+        with one.connect() as connection:
+            send_points(connection)
+            reply = ask(connection, GATHER, gather_payload(POINTS_SENT, FOUR, PLACES[:2900]))
+            assert reply.type == GATHER | wire.REPLY
+        assert eventually(lambda: statistics(watcher)["buffer_bytes"] <= before)
 
 
 @pytest.mark.parametrize("radii", [502, 200_000])
@@ -75,6 +97,17 @@ def test_media_that_do_not_fit_a_part(daemon):
         reply = ask(connection, EVAL, eval_payload(radii=None, radius_count=800, wanted=511))
         assert_error(reply, "too-large", "wanted", "max_part_bytes")
         assert_serves(connection)
+
+
+def test_answers_that_do_not_fit(daemon):
+    media = np.full((240, 2), (0.1, 1.0))
+    with daemon("--max-frame-bytes", "8192", "--max-part-bytes", "4096").connect() as connection:
+        for message, payload, field in [
+            ("varying", varying_payload(media, np.ones(240), wanted=199, coefficients=7), "wanted"),
+            ("tissue", tissue_payload(wavelengths=np.linspace(500, 900, 210)), "wavelength_count"),
+            ("table", table_payload(), "tolerance"),
+        ]:
+            assert_error(ask(connection, wire.MESSAGES[message], payload), "too-large", field, "")
 
 
 def test_parts_are_no_larger_than_frames(daemon):

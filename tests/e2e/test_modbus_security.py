@@ -158,6 +158,12 @@ def test_the_same_protocol_through_tls(slave, authority, version):
         assert (as_floats(answers[0][2:]) > 0).all()
         secure.socket.sendall(b"\0\1\0\1\0\6")
         assert secure.is_closed()
+    with Secure(one, authority, person(authority, "m"), version) as secure:
+        secure.ask(READ_INPUT)
+        secure.socket.sendall(b"".join(secure.frame(1, EVERYTHING) for _ in range(50)))
+        one.terminate()  # what has arrived is answered
+        assert {secure.receive()[2] for _ in range(50)} == set(answers) and secure.is_closed()
+    assert one.wait() == 0
 
 
 @pytest.mark.parametrize("version", ["TLSv1_2", "TLSv1_3"])

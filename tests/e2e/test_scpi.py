@@ -145,6 +145,7 @@ def test_long_and_short_forms(raw):
     )
     assert raw.ask("med:name 'SKIN1';chan 2;chan?;:STAT:OPER?;ENAB 1;ENAB?") == "2;0;1"
     assert raw.ask("MC:PHOT DEF;PHOT?;:MED 0,MAX,0,1;:MED?") == "1000000;0,1e15,0,1,0"
+    assert raw.ask("*RST;TOL?;:MED:TISS?") == "OFF;AUTO"
     for message, error in [
         ("FORMA REAL,64", '-113,"Undefined header;FORMA"'),
         ("MED:NAME SKIN1;TOL 1", '-113,"Undefined header;TOL"'),
@@ -158,7 +159,17 @@ def test_long_and_short_forms(raw):
         ("R? one", '-104,"Data type error"'),
         ('MED:NAME "skin1', '-151,"Invalid string data"'),
         ("R:DATA #2x", '-161,"Invalid block data"'),
+        ("R:DATA #11x", '-161,"Invalid block data;FORMat: REAL,32 or REAL,64, as the numbers of the block"'),
+        ("MC:PHOT 1.5", '-222,"Data out of range;photons: an integer from 0 on, below 2^53 and as large as the field"'),
+        ("MED:LAY3 1,1,0,1", '-221,"Settings conflict;MEDium: a layer that there is, or the next one, up to 8"'),
+        ("MED:NAME X", '-224,"Illegal parameter value;MEDium:NAME: a name that `dipole media` lists"'),
+        (f"{MED};CHAN 2", '-221,"Settings conflict;MEDium:CHANnel: behind MEDium:NAME"'),
+        ("FORM REAL,16", '-224,"Illegal parameter value;FORMat: ASCii, REAL,32 or REAL,64"'),
+        (f"{MED};LAY2 1,1,0,1;:FIT", '-221,"Settings conflict;MEDium: one layer: its g, eta and thickness"'),
+        ("FIT:SPEC:MHZ 1;:FIT:SPEC", '-226,"Lists not same length;FIT:SPECtrum[:IMMediate]: MHZ and QUANtities as PLACes"'),
+        ("MC:PROG?", '-230,"Data corrupt or stale;MC:PROGress: when MC:STARt has begun"'),
     ]:
+        raw.send("*RST")
         assert raw.error(message) == error, message
 
 

@@ -11,7 +11,7 @@ import pytest
 from certificates import Authority
 from daemons import END_S, PROGRAM, environment, eventually, read_log_line
 from dipole import Client, ConnectError, Connection, ConnectionLost, wire
-from frames import EVAL, PING, ask, assert_closed, assert_error, assert_serves, eval_payload, frame
+from frames import EVAL, PING, ask, assert_closed, assert_error, assert_serves, eval_payload, frame, statistics
 from test_metrics import fetch
 
 LARGE = eval_payload(radii=None, radius_count=200_000)
@@ -99,6 +99,35 @@ def test_a_drain_that_times_out_says_what_it_abandons(daemon):
         assert one.wait() == 0
     (line,) = [line for line in one.log if "event=drain-timeout" in line]
     assert "level=error" in line and " drain_timeout_ms=300" in line
+    assert read_log_line(line)["connections"] == "1"
+
+
+def test_jobs_of_http_end_with_their_client_and_with_the_daemon(daemon):
+    one = daemon("--http", "127.0.0.1:0", "--drain-timeout-ms", "300")
+    host, port = one.url("http").removeprefix("http://").strip("/").split(":")
+    numbers = ",".join(map(str, range(100_000, 900_000, 20)))
+    body = f'{{"albedo":[{numbers.replace(",", "e-6,")}e-6],"length":[{",".join("1" * 40_000)}],"eta":1.37}}'
+    head = f"POST /v1/invert HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/json\r\nContent-Length: {len(body)}"
+
+    def post() -> socket.socket:
+        made = socket.create_connection((host, int(port)))
+        made.sendall(f"{head}\r\n\r\n{body}".encode())
+        assert eventually(lambda: statistics(watcher)["owed_radii"] > 0)
+        return made
+
+    def unanswered() -> int:
+        now = statistics(watcher)
+        return now["requests_statistics"] + now["requests_invert"] - now["replies_ok"]
+
+    with one.connect() as watcher:
+        before = unanswered()
+        post().close()
+        assert eventually(lambda: statistics(watcher)["owed_radii"] == 0)
+        assert unanswered() == before + 1
+        with post():
+            one.terminate()
+            assert one.wait() == 0
+    (line,) = [line for line in one.log if "event=drain-timeout" in line]
     assert read_log_line(line)["connections"] == "1"
 
 
