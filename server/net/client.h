@@ -43,7 +43,7 @@ struct client_kind {
   void (*abort)(struct client *client);    /* once after the drain timeout; or NULL */
   /* returns whether abort() would lose replies; or NULL */
   bool (*busy)(const struct client *client);
-  /* The listener gives a new connection to the worker with the fewest clients that count. */
+  /* Of workers with as much work, the one with the fewest clients that count gets the next. */
   bool counts;
 };
 

@@ -27,6 +27,7 @@ struct connection {
   struct requests requests;
 
   bool more_to_do;    /* whether frames or their work were left at the end of the last turn */
+  bool went_on;       /* whether they were at its beginning */
   bool detached_more; /* whether detached requests have work left */
 
   uint64_t frame_started_ms; /* when the incomplete frame began to arrive; 0 if there is none */
@@ -302,6 +303,15 @@ static void watch_deadline(struct connection *c) {
   }
 }
 
+/* Returns whether the worker wants to hand the connection over, which is between two requests. */
+static bool may_move(const struct connection *c) {
+  const struct requests *r = &c->requests;
+  const struct transport *t = &c->transport;
+  return t->client.worker->relief != NULL && c->went_on && r->run.state == RUN_IDLE &&
+         r->detached_count == 0 && r->points == NULL && !r->ended && !t->writing && !t->peer_done &&
+         !t->stopping;
+}
+
 static void run_turn(struct client *client) {
   struct connection *c = connection_of(client);
   struct requests *r = &c->requests;
@@ -312,7 +322,8 @@ static void run_turn(struct client *client) {
   const uint64_t most =
       before + c->transport.server->options.max_in_flight - (r->run.state != RUN_IDLE);
   bool more = true;
-  while (more && budget > 0 && !c->transport.closing &&
+  c->went_on = c->more_to_do;
+  while (more && budget > 0 && !c->transport.closing && !may_move(c) &&
          (r->run.state != RUN_IDLE || r->taken < most)) {
     more = requests_step(r, &budget);
   }
@@ -338,6 +349,10 @@ static void finish_turn(struct client *client) {
     write_more(c);
   }
   if (c->transport.closing) {
+    return;
+  }
+  if (may_move(c) && transport_move(&c->transport, client->worker->relief)) {
+    client->worker->relief = NULL;
     return;
   }
   if (c->more_to_do || (was_blocked && !output_is_full(&c->output))) {

@@ -31,17 +31,6 @@ static bool complain(const char *url, const char *why) {
 
 /* ---- admission ------------------------------------------------------------------------------- */
 
-struct worker *listener_least_busy(struct server *server) {
-  struct worker *best = &server->workers[0];
-  for (uint64_t i = 1; i < server->options.workers; i++) {
-    struct worker *worker = &server->workers[i];
-    if (worker->client_count < best->client_count) {
-      best = worker;
-    }
-  }
-  return best;
-}
-
 /* Returns the number of connections of the binary protocol that all workers have, including those
  * that are being refused. */
 static uint64_t held_connections(const struct server *server) {
@@ -75,7 +64,7 @@ static void give_to_worker(struct server *server, int fd, struct tls_session *se
   if (!refused) {
     stats_add(stats, STATS_CONNECTIONS_OPEN, 1);
   }
-  worker_give(listener_least_busy(server), connection);
+  worker_give(worker_least_busy(server), connection);
 }
 
 void listener_admit(struct server *server, int fd, bool inherited) {

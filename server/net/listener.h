@@ -34,9 +34,6 @@ size_t listener_open_option(struct listener listeners[TCP_ADDRESSES_MAX], struct
                             uv_loop_t *loop, const char *option, const char *address,
                             listener_take *admit);
 
-/* Returns the worker with the fewest clients that count. */
-struct worker *listener_least_busy(struct server *server);
-
 /* Makes a listener of a stream socket (Unix or TCP) that already listens, and logs its address. The
  * socket's file, if any, stays when the listener is closed. If fd is no such socket, closes fd,
  * prints a message to standard error and returns false. */

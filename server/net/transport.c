@@ -1,5 +1,6 @@
 #include "server/net/transport.h"
 
+#include <fcntl.h>
 #include <stdlib.h>
 #include <sys/ioctl.h>
 #include <sys/socket.h>
@@ -39,6 +40,30 @@ void transport_abort(struct transport *t) {
 
 void transport_abort_client(struct client *client) {
   transport_abort(transport_of(client));
+}
+
+static void close_and_move(uv_handle_t *handle) {
+  struct transport *t = handle->data;
+  t->closing = t->reading = t->blocked = false;
+  t->has_more = t->tls != NULL; /* OpenSSL may hold bytes */
+  t->events = 0;
+  worker_move(&t->client, t->next);
+}
+
+/* libuv closes the sockets of its own streams, so that the next stream needs another descriptor. */
+bool transport_move(struct transport *t, struct worker *to) {
+  const int fd = t->tls != NULL ? t->fd : fcntl(t->fd, F_DUPFD_CLOEXEC, 0);
+  if (fd < 0 || !worker_expect(to)) {
+    if (fd != t->fd && fd >= 0) {
+      close(fd);
+    }
+    return false;
+  }
+  t->fd = fd;
+  t->next = to;
+  t->closing = true;
+  uv_close(&t->uv.handle, close_and_move);
+  return true;
 }
 
 void transport_log_end(const struct transport *t, const char *reason) {

@@ -57,6 +57,8 @@ struct transport {
   bool tells_empty; /* TLS only: see transport_drain() */
   bool blocked;     /* with TLS: whether reading waits until the socket can be written to */
   int events;       /* TLS only: events for which the poll waits */
+  struct worker
+      *next; /* the worker that takes the connection over as soon as its handle is closed */
 
   uv_buf_t unsent;    /* what transport_send() has still to write */
   bool peer_done;     /* whether the peer has shut down its side, so that nothing more arrives */
@@ -107,6 +109,11 @@ void transport_linger(struct transport *transport);
 
 /* Returns whether the connection ends, which a tick has to see to no more. */
 bool transport_is_over(struct transport *transport, uint64_t now_ms);
+
+/* Hands the connection over to another worker, which starts the client again. Nothing is being written,
+ * and nothing but the workers calls the client. Returns false, and does nothing, if the daemon stops or
+ * has no descriptor left. */
+bool transport_move(struct transport *transport, struct worker *to);
 
 /* Ends the connection at once: closes the socket, and frees the session. */
 void transport_abort(struct transport *transport);

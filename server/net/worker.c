@@ -80,6 +80,7 @@ static void run_round(struct worker *worker) {
   }
   worker->in_round = false;
   publish_queue(worker);
+  worker->load_most = worker->run_count > worker->load_most ? worker->run_count : worker->load_most;
   worker->round_ns = 0;
 }
 
@@ -157,7 +158,7 @@ static void stop_round(struct worker *worker) {
   if (taken_ms > worker->server->options.drain_timeout_ms) {
     for_each(worker, abort_client);
   }
-  if (worker->stop_rounds > 3 && LIST_EMPTY(&worker->clients)) {
+  if (worker->stop_rounds > 3 && LIST_EMPTY(&worker->clients) && worker->client_count == 0) {
     uv_stop(&worker->loop);
   }
 }
@@ -174,9 +175,13 @@ static void take_from_inbox(struct worker *worker) {
   while ((client = STAILQ_FIRST(&given)) != NULL) {
     STAILQ_REMOVE_HEAD(&given, in_inbox);
     worker_adopt(worker, client);
+    if (worker->stop_rounds >= 3) {
+      stop_client(client);
+    }
   }
   if (stop_wanted && worker->stop_rounds == 0) {
     worker->stop_rounds = 1;
+    worker->relief = NULL;
     worker->stop_began_ms = uv_now(&worker->loop);
   }
 }
@@ -241,8 +246,30 @@ static void after_poll(uv_check_t *handle) {
   stop_round(worker);
 }
 
+struct worker *worker_least_busy(struct server *server) {
+  struct worker *best = &server->workers[0];
+  for (uint64_t i = 1; i < server->options.workers; i++) {
+    struct worker *worker = &server->workers[i];
+    if (worker->load < best->load ||
+        (worker->load == best->load && worker->client_count < best->client_count)) {
+      best = worker;
+    }
+  }
+  return best;
+}
+
+/* Looks for a worker that has as much less work that both have more alike after one client has moved. */
+static void find_relief(struct worker *worker) {
+  struct worker *least = worker_least_busy(worker->server);
+  const bool helps = worker->stop_rounds == 0 && worker->load_most > least->load + 1;
+  worker->relief = helps ? least : NULL;
+  worker->load = worker->load_most;
+  worker->load_most = 0;
+}
+
 static void on_clock(uv_timer_t *timer) {
   struct worker *worker = timer->data;
+  find_relief(worker);
   for_each(worker, tick_client);
   profiles_sweep(&worker->context.profiles);
 }
@@ -339,12 +366,30 @@ int worker_start(struct worker *worker, struct server *server) {
   return error != 0 ? error : uv_thread_create(&worker->thread, thread_main, worker);
 }
 
-void worker_give(struct worker *worker, struct client *client) {
-  atomic_fetch_add_explicit(&worker->client_count, client->kind->counts, memory_order_relaxed);
+static void put_into_inbox(struct worker *worker, struct client *client) {
   uv_mutex_lock(&worker->mutex);
   STAILQ_INSERT_TAIL(&worker->inbox, client, in_inbox);
   uv_mutex_unlock(&worker->mutex);
   uv_async_send(&worker->wake);
+}
+
+void worker_give(struct worker *worker, struct client *client) {
+  atomic_fetch_add_explicit(&worker->client_count, client->kind->counts, memory_order_relaxed);
+  put_into_inbox(worker, client);
+}
+
+bool worker_expect(struct worker *worker) {
+  uv_mutex_lock(&worker->mutex);
+  const bool goes_on = !worker->stop_wanted;
+  worker->client_count += goes_on;
+  worker->load += goes_on; /* until its next tick: so that not all others choose it */
+  uv_mutex_unlock(&worker->mutex);
+  return goes_on;
+}
+
+void worker_move(struct client *client, struct worker *to) {
+  worker_forget(client);
+  put_into_inbox(to, client);
 }
 
 void worker_stop(struct worker *worker) {

@@ -1,8 +1,10 @@
 /* worker: a thread with its own event loop, its clients, and their run queue.
  *
- * Threading: the main thread accepts each connection and gives it to the worker that has
- * the fewest. From then on that worker reads, evaluates and writes for it on its own thread, so a
- * request crosses no threads. In each round of its loop, a worker
+ * Threading: the main thread accepts each connection and gives it to the worker that has the least
+ * work, or else the fewest connections. From then on that worker reads, evaluates and writes for it on
+ * its own thread, so a request crosses no threads. A worker with at least two clients more with large
+ * requests than another one hands one over, between two requests: so of clients that outlive others, no
+ * two share a worker while another has none. In each round of its loop, a worker
  *   1. reads what has arrived for all of its clients,
  *   2. gives each client that something has arrived for one turn of bounded length,
  *   3. evaluates the short requests of these clients together (server/jobs/batch.h),
@@ -44,7 +46,10 @@ struct worker {
   unsigned next_going_on;          /* which of the two queues the next round serves */
   struct client_queue finish_queue; /* clients whose finish() is called at the end of this round */
   uint64_t run_count;               /* number of clients in the queues of turns */
-  bool in_round;                    /* whether clients are having their turns */
+  uint64_t load_most;    /* of clients with work left after a round, since the clock's last tick */
+  _Atomic uint64_t load; /* load_most at that tick */
+  struct worker *relief; /* that is to take a client with much work; NULL: none */
+  bool in_round;         /* whether clients are having their turns */
   uint64_t round_ns; /* when this round of the loop began to read; 0 if it has not read anything */
   unsigned stop_rounds; /* rounds of the loop since worker_stop(); 0 before */
   uint64_t stop_began_ms;
@@ -69,6 +74,9 @@ int worker_open(struct worker *worker, struct server *server);
 /* Opens the worker and starts its thread. Returns 0 or an error code of libuv. */
 int worker_start(struct worker *worker, struct server *server);
 
+/* Returns the worker with the least load, and of those the one with the fewest clients that count. */
+struct worker *worker_least_busy(struct server *server);
+
 /* Call these from any thread. worker_give() hands over a client (server/net/client.h). */
 void worker_give(struct worker *worker, struct client *client);
 void worker_stop(struct worker *worker); /* serves all requests, ends all clients and the thread */
@@ -87,6 +95,11 @@ void worker_adopt(struct worker *worker, struct client *client);
 /* Removes a client that has ended, from all queues; the worker does not touch it again. The client
  * may be forgotten at any time, also in its own turn or in that of another. */
 void worker_forget(struct client *client);
+/* Makes the worker wait for a client, which counts, that another one hands over. Returns false if the
+ * daemon stops. The other one then closes the client's handles, and calls worker_move(), which makes
+ * this one start the client again. */
+bool worker_expect(struct worker *worker);
+void worker_move(struct client *client, struct worker *to);
 /* Makes the worker call deadline() of all clients at the time at_ms of the loop, or a little later.
  */
 void worker_wake_at(struct worker *worker, uint64_t at_ms);

@@ -264,5 +264,5 @@ void scpi_connection_admit(struct server *server, int fd) {
   }
   stats_add(&server->stats, STATS_SCPI_CONNECTIONS_ACCEPTED, 1);
   stats_add(&server->stats, STATS_SCPI_CONNECTIONS_OPEN, 1);
-  worker_give(listener_least_busy(server), &connection->transport.client);
+  worker_give(worker_least_busy(server), &connection->transport.client);
 }

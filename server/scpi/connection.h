@@ -28,7 +28,7 @@ struct scpi_connection {
  * gives its client to a worker. Returns NULL if there is no memory. */
 struct scpi_connection *scpi_connection_new(struct server *server, int fd);
 
-/* Gives a connected socket to the worker with the fewest clients, or closes it if its peer may not
+/* Gives a connected socket to the least busy worker, or closes it if its peer may not
  * connect. Listeners call this. */
 void scpi_connection_admit(struct server *server, int fd);
 

@@ -14,6 +14,7 @@ import subprocess
 import sys
 import time
 from contextlib import ExitStack, suppress
+from pathlib import Path
 
 import dipole
 import numpy as np
@@ -96,6 +97,35 @@ def test_same_bits_through_tls(farm, ours):
             return await asyncio.gather(*(client.eval("better", SKIN, RADII) for _ in range(12)))
 
     assert all((answer.R == right).all() for answer in asyncio.run(ask()))
+
+
+def least_ticks(one) -> int:
+    """Returns how long the less busy one of two workers, or of their helpers, has had a processor."""
+    stats = [(thread / "stat").read_text() for thread in Path(f"/proc/{one.process.pid}/task").iterdir()]
+    return sorted(sum(map(int, stat.split()[13:15])) for stat in stats if "(worker)" in stat)[-2]
+
+
+@pytest.mark.parametrize("scheme", ["tls", "tcp"])
+def test_clients_with_large_requests_share_the_workers(farm, ours, scheme):
+    """Of four clients, the two stay that have the same worker, and ask without end, one of them with
+    further requests behind: then one of the two moves to the other worker, and no bit differs."""
+    medium, tls = dipole.Medium(0.03, 0.74, 0.1, 1.3), ours if scheme == "tls" else {}
+    with ExitStack() as stack:
+        clients = [stack.enter_context(dipole.Client(farm.url(scheme), **tls)) for _ in range(4)]
+        right = clients[0].eval("single", medium, RADII, wanted="R").R
+        clients[1].close(), clients[3].close()
+        waiting = [clients[2].submit("single", medium, RADII, wanted="R") for _ in range(3)]
+
+        def ask() -> None:
+            assert (clients[0].eval("single", medium, RADII, wanted="R").R == right).all()
+
+        def ask_ahead() -> None:
+            waiting.append(clients[2].submit("single", medium, RADII, wanted="R"))
+            assert (clients[2].collect(waiting.pop(0))[1].R == right).all()
+
+        idle = least_ticks(farm)
+        with Beside(ask), Beside(ask_ahead):
+            assert eventually(lambda: least_ticks(farm) > idle + 20)
 
 
 def test_a_client_that_half_closes_gets_its_answers(farm, ours):
