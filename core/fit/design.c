@@ -192,8 +192,8 @@ static size_t nodes_of(const core_fit_design *design) {
   return nodes;
 }
 
-/* Typical numbers of evaluations for a set: with the inverse, with few readings more than unknowns,
- * and with many. */
+/* Typical numbers of evaluations for a set: with the inverse, with few readings more than unknowns or
+ * an unknown factor, and with many. */
 enum { BY_INVERSE = 4, SPARSE = 160, PLENTY = 12 };
 
 core_fit_cost core_fit_cost_of(const core_fit_design *design) {
@@ -201,9 +201,9 @@ core_fit_cost core_fit_cost_of(const core_fit_design *design) {
   const bool free_factor = design->scale == CORE_FIT_SCALE_FREE;
   const size_t spare = design->count - (free_factor ? 3 : 2);
   const bool inverts = design->count == 2 && core_solves(design->model);
-  return (core_fit_cost){.evaluations = inverts               ? BY_INVERSE
-                                        : spare <= FIT_SPARSE ? SPARSE
-                                                              : PLENTY,
+  return (core_fit_cost){.evaluations = inverts                              ? BY_INVERSE
+                                        : free_factor || spare <= FIT_SPARSE ? SPARSE
+                                                                             : PLENTY,
                          .evaluation = (is_modulated(design) ? MODULATED_COST : 1) *
                                        (EVALUATION_COST + (double)nodes_of(design) * PLACE_COST +
                                         (slab ? SLAB_COST : 0))};

@@ -19,11 +19,13 @@ struct choosing {
 static const struct choosing usual = {0.3, false, 4, 3};
 
 /* The search for a second solution tries more starts if the readings exceed the unknowns by at most
- * FIT_SPARSE, or if the best one is not a good fit or is at a bound: where a model hardly depends
- * on sigma_a, a valley that ends at the bound is so flat that rounding of the model's table may
- * leave a minimum there. */
+ * FIT_SPARSE, twice that with a free factor, or if the best one is not a good fit, has a standard error
+ * of a logarithm above CAREFUL_ERROR, or is at a bound: where a model hardly depends on sigma_a, a
+ * valley that ends at the bound is so flat that rounding of the model's table may leave a minimum
+ * there. */
 static const struct choosing careful = {0.1, true, FIT_STARTS_MAX, 1e300};
 #define CAREFUL_REDUCED 3.0
+#define CAREFUL_ERROR 0.05
 
 /* Readings with a free factor that exceed the unknowns by at most FIT_SPARSE, or others that do not
  * exceed them, may also have a second solution so near to the first that the starts of the grid lead
@@ -461,12 +463,19 @@ static void end_inverse(core_fit_search *s) {
   }
 }
 
+/* Whether the standard errors of ln sigma_a and ln sigma_s' are below a limit. */
+static bool is_determined(const struct fit_quadratic *q, double limit) {
+  const double determinant = fma(q->rr, q->ss, -q->rs * q->rs);
+  const double larger = real_max(q->rr, q->rr - 2 * q->rs + q->ss);
+  return larger < limit * limit * determinant;
+}
+
 /* Returns whether the search for a second solution tries more starts. */
 static bool wants_care(const core_fit_search *s) {
   const size_t spare = fit_spare(s->fit);
-  return spare <= FIT_SPARSE || !s->best.found || !s->best.settled ||
-         s->best.at.chi_squared > CAREFUL_REDUCED * (double)spare ||
-         bounds_of(s->fit, s->best.at.place) != 0;
+  return spare <= (s->fit->free_factor ? 2 : 1) * FIT_SPARSE || !s->best.found ||
+         !s->best.settled || s->best.at.chi_squared > CAREFUL_REDUCED * (double)spare ||
+         !is_determined(&s->best.at, CAREFUL_ERROR) || bounds_of(s->fit, s->best.at.place) != 0;
 }
 
 /* Sets starts[FIT_STARTS_MAX] to places around the best medium, and returns their number. */

@@ -296,6 +296,46 @@ UNIT_TEST(a_second_medium_is_not_taken_for_the_true_one) {
   }
 }
 
+/* Ten readings with 3 % noise and an unknown factor, of sigma_a 0.024768 and sigma_s' 0.18937: chi-squared
+ * of this medium is 10.79 and 10.99, which a fit has to reach. Other minima have 20. */
+UNIT_TEST(a_noisy_set_with_a_free_factor_finds_the_better_minimum) {
+  enum { COUNT = 10 };
+  static const struct {
+    double at[COUNT], values[COUNT], errors[COUNT], most;
+  } cases[] = {
+      {{1.098107, 2.079175, 2.347071, 2.501337, 2.59758, 2.932075, 3.340836, 7.267164, 7.781626,
+        26.39179},
+       {4.478940e-3, 1.816652e-3, 1.496697e-3, 1.279463e-3, 1.264209e-3, 1.021686e-3, 8.709075e-4,
+        2.191445e-4, 1.882528e-4, 5.921181e-6},
+       {9.755e-5, 3.637e-5, 7.175e-5, 3.923e-5, 2.451e-5, 2.537e-5, 2.083e-5, 4.856e-6, 6.108e-6,
+        2.248e-7},
+       10.79},
+      {{1.00445, 1.341794, 3.525746, 4.464271, 5.918823, 14.68357, 22.58314, 25.58882, 27.1836,
+        27.52739},
+       {5.397677e-3, 3.595649e-3, 7.921901e-4, 5.794169e-4, 3.248023e-4, 4.557703e-5, 1.082771e-5,
+        6.657477e-6, 5.607445e-6, 4.731882e-6},
+       {2.343e-4, 7.700e-5, 4.744e-5, 3.689e-5, 7.026e-6, 2.401e-6, 4.052e-7, 3.316e-7, 2.18e-7,
+        1.558e-7},
+       10.99},
+  };
+  for (size_t i = 0; i < sizeof cases / sizeof cases[0]; i++) {
+    const core_fit_design design = {.model = CORE_MODEL_TRANSPORT,
+                                    .moments = CORE_MOMENTS_EXACT,
+                                    .eta = 1.4,
+                                    .axis = CORE_FIT_AXIS_RADIUS,
+                                    .count = COUNT,
+                                    .at = cases[i].at,
+                                    .scale = CORE_FIT_SCALE_FREE};
+    core_fit *fit = created(&design);
+    core_fit_result result;
+    core_fit_run(fit, cases[i].values, cases[i].errors, &result, NULL);
+    core_fit_free(fit);
+    printf("case %zu: status %d, chi-squared %.4g\n", i, (int)result.status,
+           result.best.chi_squared);
+    assert_true(result.best.chi_squared < cases[i].most);
+  }
+}
+
 /* The table of a model against profiles of single media, R and R(f). */
 static void compare_table(unsigned model, unsigned axis, double g) {
   enum { PLACES = 8 };
