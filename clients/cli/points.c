@@ -37,7 +37,8 @@ static const cli_option options[] = {
                "of slabs, mm, for rows whose cell is empty or absent (default: a half space)"),
     CLI_OPTION(SWITCH, errors, NULL,
                "write numerical_error and model_error, too: how far the values may be from the "
-               "model's formula, and the model from radiative transport (empty: not solved). Rows "
+               "model's formula, and the model from radiative transport (empty: not known, "
+               "as for derivatives and paths). Rows "
                "that are evaluated together have the largest error of all"),
     {0},
 };

@@ -849,13 +849,16 @@ COMMAND(tell_eval_errors) {
 COMMAND(use_wavelength) {
   wire_parameter list[CORE_PROPERTIES_END];
   wire_tissue_request start = s->settings.tissue;
+  s->wavelength_before_nm = s->settings.wavelength_nm;
   const enum outcome outcome = use_fields(s, command, unit);
   if (outcome != DONE || unit->query) {
     return outcome;
   }
   start.property_count = list_given(s->settings.properties, CORE_PROPERTIES_END, list);
   s->waits_for = command;
-  return start_task(s, SCPI_EVAL, WIRE_TYPE_TISSUE, &start, list, NULL) ? WAITS : FAILED;
+  const bool started = start_task(s, SCPI_EVAL, WIRE_TYPE_TISSUE, &start, list, NULL);
+  s->settings.wavelength_nm = started ? s->settings.wavelength_nm : s->wavelength_before_nm;
+  return started ? WAITS : FAILED;
 }
 
 /* Takes the medium of a tissue that has been made. */
@@ -1205,9 +1208,11 @@ bool scpi_session_finish(struct scpi_session *s) {
     const bool refused = task->error.status != WIRE_STATUS_OK;
     task->state = refused ? SCPI_TASK_NONE : SCPI_TASK_DONE;
     text_reset(&task->payload);
+    const bool tissue = i == SCPI_EVAL && s->waits_for->carry_out == use_wavelength;
     if (refused) {
       scpi_status_refuse(&s->status, &task->error);
-    } else if (i == SCPI_EVAL && s->waits_for->carry_out == use_wavelength) {
+      s->settings.wavelength_nm = tissue ? s->wavelength_before_nm : s->settings.wavelength_nm;
+    } else if (tissue) {
       take_tissue(s);
     } else if (i == SCPI_EVAL) {
       answer_eval(s, s->waits_for);

@@ -72,6 +72,7 @@ struct scpi_session {
   bool completes;                       /* whether *OPC waits */
   const struct scpi_command *command;   /* the last one, which says at which node the next one is */
   const struct scpi_command *waits_for; /* whose job gives the answer; NULL: none */
+  double wavelength_before_nm;          /* of MED:WAV, which a refused one leaves */
   bool held;                            /* whether a unit waits for the overlapped jobs */
   struct text answers;                  /* to the message so far, without its newline */
 };

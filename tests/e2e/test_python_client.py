@@ -35,6 +35,8 @@ def test_result_of_a_list(client):
     np.testing.assert_array_equal(result.r, [0.5, 1.0])
     assert result.numerical_error().shape == (3, 2)
     assert result.numerical_error(4.0).shape == (3,)
+    with pytest.raises(dipole.ArgumentError, match='quantity="cdf"'):
+        result.numerical_error("cdf")
     np.testing.assert_array_equal(result.numerical_error(0.0), result.numerical_error([0.0])[:, 0])
 
 

@@ -239,6 +239,7 @@ def test_layers_slabs_and_frequencies(shared, raw):
         liver = client.tissue([1000], "liver", {"hb_uM": 100})[0]
     told = raw.numbers("MED:TISS LIVer;PROP hb_um,100;WAV 1000;:MED?")
     assert told == [liver.sigma_a, liver.sigma_s, liver.g, liver.eta, 0]
+    assert "wavelength" in raw.error("MED:WAV 100") and raw.numbers("MED:WAV?") == [1000] and raw.numbers("MED?") == told
     assert raw.ask("R:DATA?") == '""' and raw.ask("FORM REAL,64;:R:DATA?") == "#10"
     assert raw.numbers("FORM ASC;:R? 0")[0] == 9.9e37
 

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import wire
+from .errors import naming
 
 Array = NDArray[Any]
 T = TypeVar("T")
@@ -353,7 +354,8 @@ class Result(_Evaluated):
         chosen = [self.errors[quantity]] if quantity is not None else list(self.errors.values())
         constants = np.max([one.numerical_error for one in chosen], axis=0)
         per_mm = np.max([one.numerical_error_per_mm for one in chosen], axis=0)
-        radii = np.asarray(self.r if r is None else r, dtype=np.float64)
+        with naming('r: radii in mm; a quantity is named as quantity="cdf"'):
+            radii = np.asarray(self.r if r is None else r, dtype=np.float64)
         # At r = infinity, an error that does not grow with r gives 0 * inf, which is NaN: it is 0.
         with np.errstate(invalid="ignore"):
             growth: Array = np.multiply.outer(per_mm, radii)
