@@ -39,19 +39,19 @@ static const struct level levels[LEVELS] = {
     {1e-4,
      40,
      {1.2e-3, 3e-4},
-     0.87,
+     0.85,
      8,
      {{0.3, {4, 8, 3}}, {1, {6, 10, 3}}, {3, {8, 12, 4}}, {5, {8, 14, 5}}}},
     {1e-4,
      48,
      {8e-4, 1.6e-4},
-     0.87,
+     0.85,
      8,
      {{0.3, {4, 10, 3}}, {1, {6, 12, 4}}, {3, {8, 14, 4}}, {6.5, {8, 16, 5}}}},
     {1e-5,
      64,
      {4e-4, 8e-5},
-     0.87,
+     0.85,
      9,
      {{0.3, {5, 10, 4}}, {1, {7, 12, 4}}, {3, {10, 18, 6}}, {7.5, {10, 20, 6}}}},
 };
@@ -207,6 +207,9 @@ static const double like_most[LEVELS] = {8, 8, 8, 10, 12};
  * wavenumber more on each panel. */
 enum { MORE_FROM = 2, MORE_DEGREES = 2 };
 
+/* Im k over the rate where their path starts then: their rate is a pole of their own X. */
+#define SHARE_FINITE 0.87
+
 #define NOISE_BELOW 0.9
 #define NOISE_RISES 1.3
 #define NOISE_FROM 2.0
@@ -293,8 +296,9 @@ static bool place_wavenumbers(struct grid *to, const struct solver_layers *of, c
    * share, is another one on each grid. */
   exitance_grid *above = &to->wavenumbers[0], *below = &to->wavenumbers[1];
   const double rises = of->sides == 1 && to->rate > 0 ? RISES : 1;
+  const double share = of->sides > 1 && by >= &levels[MORE_FROM] ? SHARE_FINITE : by->share;
   const size_t nodes = by->nodes + (of->sides > 1 && by >= &levels[MORE_FROM]);
-  solver_exitance_place(above, NULL, to->rate, by->share, rises * all_least, nodes, end);
+  solver_exitance_place(above, NULL, to->rate, share, rises * all_least, nodes, end);
   *below = *above;
   while (below->tier_end[TIERS - 1] < last) {
     const double next = 2 * below->tier_end[TIERS - 1];
