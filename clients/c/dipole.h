@@ -955,11 +955,6 @@ bool dipole_table_radii(const dipole_table *table, size_t n, const float *u, flo
 
 void dipole_table_free(dipole_table *table); /* table may be NULL */
 
-/* Computes the radii r[count], mm, of a LINEAR or LOGARITHMIC grid, with the bits that a daemon
- * gives in single precision. Use it to evaluate a table at the radii of a query with this grid. */
-bool dipole_grid_radii(enum dipole_spacing spacing, double start_mm, double stop_mm, uint64_t count,
-                       float *r, dipole_error *error);
-
 /* Returns the models, quantities and other choices that are built into the library, and the
  * instruction set with which it evaluates tables. This needs no daemon; address is "". The caller
  * frees *info, which is one block, with free(). */

@@ -347,23 +347,3 @@ void dipole_table_free(dipole_table *table) {
     free(table);
   }
 }
-
-bool dipole_grid_radii(enum dipole_spacing spacing, double start_mm, double stop_mm, uint64_t count,
-                       float *r, dipole_error *error) {
-  const core_grid grid = {.spacing = (enum core_spacing)spacing,
-                          .count = count,
-                          .start_mm = start_mm,
-                          .stop_mm = stop_mm};
-  error = error != NULL ? error : &(dipole_error){0};
-  if (spacing != DIPOLE_LINEAR && spacing != DIPOLE_LOGARITHMIC) {
-    return libdipole_fail(error, DIPOLE_ERROR_ARGUMENT,
-                          "spacing is DIPOLE_LINEAR or DIPOLE_LOGARITHMIC");
-  }
-  const core_fault fault = core_grid_check(&grid);
-  if (fault.field != NULL) {
-    return libdipole_fail(error, DIPOLE_ERROR_ARGUMENT, "%s: allowed: %s", fault.field,
-                          fault.allowed);
-  }
-  core_grid_radii(&grid, 0, (size_t)count, true, r);
-  return true;
-}

@@ -197,6 +197,11 @@ static inline int64_t cli_now_ms(void) {
   return (int64_t)(cli_now_ns() / 1000000);
 }
 
+/* Returns the larger number, or NaN if either is NaN. */
+static inline double cli_larger(double a, double b) {
+  return a != a || a > b ? a : b;
+}
+
 /* ---- memory: all of it is freed when the command has ended ----------------------------------- */
 
 /* These functions end the program when no memory is left. Blocks need not be freed, but those of

@@ -82,16 +82,11 @@ static void make_values(cli_eval_report *report) {
       cli_allocate(report->model_count * report->profile.channel_count, sizeof *report->values);
 }
 
-/* Returns the larger number, or NaN if either is NaN. */
-static double larger(double a, double b) {
-  return isnan(a) || a > b ? a : b;
-}
-
 /* Keeps the errors of a part: the largest model error of all parts. */
 static void keep_errors(dipole_errors *kept, dipole_errors part, bool is_first) {
   const double before = kept->model_error;
   *kept = part;
-  kept->model_error = is_first ? part.model_error : larger(before, part.model_error);
+  kept->model_error = is_first ? part.model_error : cli_larger(before, part.model_error);
 }
 
 /* Keeps the part of a reply that begins at place `first` of the model at a position, of the channels from

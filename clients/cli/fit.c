@@ -389,18 +389,13 @@ static void take_fits(report *of, const batch *some, const dipole_fits *fits) {
   of->notes |= fits->notes;
 }
 
-/* Returns the larger one; NAN if one is NAN. */
-static double larger(double a, double b) {
-  return isnan(a) || a > b ? a : b;
-}
-
 static void take_change(g_change *change, unsigned side, const dipole_fitted *one,
                         const dipole_fitted *other) {
   const bool good = one->status == DIPOLE_FITTED && other->status == DIPOLE_FITTED;
   const double a = fabs(other->sigma_a_per_mm - one->sigma_a_per_mm);
   const double s = fabs(other->sigma_s_prime_per_mm - one->sigma_s_prime_per_mm);
-  change->a = larger(change->a, good ? a : (double)NAN);
-  change->s = larger(change->s, good ? s : (double)NAN);
+  change->a = cli_larger(change->a, good ? a : (double)NAN);
+  change->s = cli_larger(change->s, good ? s : (double)NAN);
   change->sides |= side;
 }
 
@@ -431,9 +426,7 @@ static bool request_side(dipole_client *client, report *of, const batch *some,
 
 /* Returns whether a refusal is about one reading. */
 static bool is_of_reading(const dipole_error *error) {
-  return strcmp(error->field, "at") == 0 || strcmp(error->field, "source") == 0 ||
-         strcmp(error->field, "detector") == 0 || strcmp(error->field, "values") == 0 ||
-         strcmp(error->field, "errors") == 0;
+  return cli_in_list("at,source,detector,values,errors", error->field);
 }
 
 /* Returns whether a refusal is about what the file says of a sample, and not about an option. */

@@ -9,30 +9,16 @@
 #include "clients/cli/options.h"
 #include "proto/standard.h"
 
-extern const cli_command cli_command_eval, cli_command_plot, cli_command_points, cli_command_sample,
-    cli_command_invert, cli_command_fit, cli_command_texture, cli_command_convert, cli_command_bake,
-    cli_command_gather, cli_command_table, cli_command_mc, cli_command_tissue, cli_command_media,
-    cli_command_info, cli_command_bench;
+/* The commands, in the order of help. */
+#define COMMANDS(EACH)                                                                             \
+  EACH(eval)                                                                                       \
+  EACH(plot) EACH(points) EACH(sample) EACH(invert) EACH(fit) EACH(texture) EACH(convert)          \
+      EACH(bake) EACH(gather) EACH(table) EACH(mc) EACH(tissue) EACH(media) EACH(info) EACH(bench)
 
-const cli_command *const cli_commands[] = {
-    &cli_command_eval,
-    &cli_command_plot,
-    &cli_command_points,
-    &cli_command_sample,
-    &cli_command_invert,
-    &cli_command_fit,
-    &cli_command_texture,
-    &cli_command_convert,
-    &cli_command_bake,
-    &cli_command_gather,
-    &cli_command_table,
-    &cli_command_mc,
-    &cli_command_tissue,
-    &cli_command_media,
-    &cli_command_info,
-    &cli_command_bench,
-    NULL,
-};
+#define DECLARE(name) extern const cli_command cli_command_##name;
+#define LIST(name) &cli_command_##name,
+COMMANDS(DECLARE)
+const cli_command *const cli_commands[] = {COMMANDS(LIST) NULL};
 
 static void print_help(FILE *file) {
   fputs(

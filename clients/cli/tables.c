@@ -11,37 +11,26 @@
 
 /* ---- files ----------------------------------------------------------------------------------- */
 
-typedef struct tables {
-  size_t count;
-  dipole_table **items; /* [count], one for each channel */
-} tables;
-
-static void add_table(tables *of, dipole_table *table) {
-  of->items = cli_resize(of->items, of->count + 1, sizeof(dipole_table *));
-  of->items[of->count++] = table;
-}
-
-static void free_tables(tables *of) {
-  for (size_t i = 0; i < of->count; i++) {
-    dipole_table_free(of->items[i]);
-  }
-}
+typedef struct report {
+  cli_profile profile;
+  dipole_table **tables; /* [profile.channel_count] */
+} report;
 
 static bool is_standard(const char *path) {
   return path != NULL && strcmp(path, "-") == 0;
 }
 
 /* Writes a file, but not onto a terminal. Says what is wrong and returns false. */
-static bool save_tables(const char *path, const tables *of) {
+static bool save_tables(const char *path, const report *of) {
   FILE *to = is_standard(path) ? stdout : fopen(path, "wbe");
   if (to == NULL) {
     return cli_fails("cannot write %s: %s", path, strerror(errno));
   }
   const bool terminal = isatty(fileno(to)) == 1;
   bool written = !terminal;
-  for (size_t i = 0; written && i < of->count; i++) {
+  for (size_t i = 0; written && i < of->profile.channel_count; i++) {
     size_t count;
-    const void *bytes = dipole_table_bytes(of->items[i], &count);
+    const void *bytes = dipole_table_bytes(of->tables[i], &count);
     written = fwrite(bytes, 1, count, to) == count;
   }
   written = written && fflush(to) == 0;
@@ -70,11 +59,6 @@ static const cli_option options[] = {
     {0},
 };
 
-typedef struct report {
-  cli_profile profile;
-  tables tables;
-} report;
-
 static int check(cli_settings *settings) {
   if (is_standard(settings->output) && settings->format != NULL) {
     return cli_fail_usage(
@@ -86,20 +70,19 @@ static int check(cli_settings *settings) {
 static int fetch(const cli_settings *settings, dipole_client *client, report *of) {
   const cli_profile *profile = &of->profile;
   char place[48] = "";
+  of->tables = cli_allocate(profile->channel_count, sizeof(dipole_table *));
   for (size_t i = 0; i < profile->channel_count; i++) {
     const dipole_table_query query = {.model = profile->model->id,
                                       CLI_QUERY_OF(profile),
                                       .layers = cli_profile_layers(profile, i),
                                       .layer_count = profile->layer_count};
-    dipole_table *table;
     dipole_error error;
-    if (!CLI_RETRY(settings, &error, dipole_table_fetch(client, &query, &table, &error))) {
+    if (!CLI_RETRY(settings, &error, dipole_table_fetch(client, &query, &of->tables[i], &error))) {
       if (profile->channel_count > 1) {
         snprintf(place, sizeof place, "channel %s: ", profile->names[i]);
       }
       return cli_fail_error_of(place, &error);
     }
-    add_table(&of->tables, table);
   }
   return CLI_OK;
 }
@@ -109,9 +92,9 @@ static int fetch(const cli_settings *settings, dipole_client *client, report *of
 /* Writes the table of a channel. */
 static void put_table(cli_rows *rows, const void *context, size_t index) {
   const report *of = context;
-  const dipole_table_info *info = dipole_table_get_info(of->tables.items[index]);
+  const dipole_table_info *info = dipole_table_get_info(of->tables[index]);
   size_t bytes;
-  dipole_table_bytes(of->tables.items[index], &bytes);
+  dipole_table_bytes(of->tables[index], &bytes);
   cli_put_text(rows, of->profile.names[index], "channel");
   cli_put_medium(rows, info->layers, info->layer_count);
   cli_put_number(rows, info->albedo, "albedo");
@@ -137,8 +120,8 @@ static void write_foot(const void *context) {
        "holds up to: the numerical error of R is larger at radii beyond this one\n"
        "model error: of the model against radiative transport\n"
        "libdipole and the Python module state both errors for the radii that they evaluate");
-  for (size_t i = 0; i < of->tables.count; i++) {
-    notes |= dipole_table_get_info(of->tables.items[i])->notes;
+  for (size_t i = 0; i < of->profile.channel_count; i++) {
+    notes |= dipole_table_get_info(of->tables[i])->notes;
   }
   cli_write_launched(of->profile.media, of->profile.channel_count, of->profile.layer_count);
   cli_write_notes(of->profile.info, notes);
@@ -152,14 +135,14 @@ static int request_and_write(const cli_settings *settings, dipole_client *client
   if (status != CLI_OK) {
     return status;
   }
-  if (settings->output != NULL && !save_tables(settings->output, &of->tables)) {
+  if (settings->output != NULL && !save_tables(settings->output, of)) {
     return CLI_FAILED;
   }
   if (is_standard(settings->output)) {
     return CLI_OK;
   }
   const cli_report output = {.facts = put_facts,
-                             .rows = of->tables.count,
+                             .rows = of->profile.channel_count,
                              .put_row = put_table,
                              .left = 1,
                              .foot = write_foot};
@@ -170,7 +153,9 @@ static int request_and_write(const cli_settings *settings, dipole_client *client
 static int run_table(const cli_settings *settings, dipole_client *client) {
   report of = {0};
   const int status = request_and_write(settings, client, &of);
-  free_tables(&of.tables);
+  for (size_t i = 0; of.tables != NULL && i < of.profile.channel_count; i++) {
+    dipole_table_free(of.tables[i]);
+  }
   return status;
 }
 

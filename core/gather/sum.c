@@ -798,10 +798,11 @@ static bool finish_query(const walk *w, size_t q, double *M, float *bound) {
     const double spare =
         s->list.node_count > 0 ? w->sum->tolerance * 0x1p-8 + w->points->uneven[c] : 0;
     const double error = s->list.error[c] > 0 ? s->list.error[c] / (value - s->list.error[c]) : 0;
-    within = within && value >= s->list.error[c] && error + spare <= w->sum->tolerance;
+    const double stated = (error + spare) * (1 + 0x1p-22); /* no float that it becomes is less */
+    within = within && value >= s->list.error[c] && stated <= w->sum->tolerance * (1 - 0x1p-22);
     M[c] = value;
     if (bound != NULL) {
-      bound[c] = (float)((error + spare) * (1 - 0x1p-22)); /* rounds the bound up to a float */
+      bound[c] = (float)stated;
     }
   }
   return within || s->fineness == ALL_POINTS;

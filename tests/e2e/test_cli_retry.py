@@ -2,10 +2,13 @@
 or stay busy."""
 
 import re
+import socket
+import subprocess
 import threading
+from pathlib import Path
 
 import pytest
-from command_line import FAILED, TIMEOUT_S, Proxy, Terminal, busy, dipole, eval_rows
+from command_line import FAILED, PROGRAM, TIMEOUT_S, Proxy, Terminal, busy, dipole, eval_rows
 from daemons import Daemon
 
 ARGUMENTS = ("--sigma-a", "0.03", "--sigma-s", "1", "--r", "0.5,1,2")
@@ -72,3 +75,18 @@ def test_a_person_is_told_how_long_a_reply_takes(daemon):
         terminal.read_until(lambda seen: re.search("waiting for the daemon: +2 s", seen))
         held.set()
         assert terminal.end()[0] == 0 and terminal.seen.endswith("\r\033[K")
+
+
+def test_a_host_may_take_its_time():
+    """The kernel drops what opens the connection as long as the listener's queue is full."""
+    with socket.create_server(("127.0.0.1", 0), backlog=0) as server:
+        port = server.getsockname()[1]
+        tried = re.compile(f" 0100007F:{port:04X} 02 ")
+        with socket.create_connection(("127.0.0.1", port)):
+            command = [PROGRAM, "info", "--connect", f"tcp:127.0.0.1:{port}", "--retry-ms", "0"]
+            with subprocess.Popen(command, stderr=subprocess.PIPE) as run:
+                while run.poll() is None and not tried.search(Path("/proc/net/tcp").read_text()):
+                    pass
+                for _ in range(2 if run.poll() is None else 0):
+                    server.accept()[0].close()
+                assert b"was lost" in run.communicate()[1]

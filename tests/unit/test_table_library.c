@@ -451,27 +451,3 @@ UNIT_TEST(the_library_knows_its_lists) {
   assert_int_equal(info->limit_count, 0);
   free(info);
 }
-
-UNIT_TEST(grids_are_the_daemons) {
-  const core_grid grid = {CORE_SPACING_LOGARITHMIC, 7, 0.01, 100};
-  float expected[7], found[7];
-  dipole_error error;
-  core_grid_radii(&grid, 0, 7, true, expected);
-  assert_true(dipole_grid_radii(DIPOLE_LOGARITHMIC, 0.01, 100, 7, found, &error));
-  assert_memory_equal(found, expected, sizeof found);
-  assert_true(dipole_grid_radii(DIPOLE_LINEAR, 0, 6, 7, found, NULL));
-  assert_true(found[0] == 0 && found[1] == 1 && found[6] == 6);
-  const struct {
-    enum dipole_spacing spacing;
-    double start, stop;
-    uint64_t count;
-  } wrong[] = {{DIPOLE_LIST, 0, 1, 2},       {(enum dipole_spacing)9, 0, 1, 2},
-               {DIPOLE_LINEAR, -1, 1, 2},    {DIPOLE_LINEAR, 0, (double)INFINITY, 2},
-               {DIPOLE_LINEAR, 2, 1, 2},     {DIPOLE_LINEAR, 0, 1, 0},
-               {DIPOLE_LOGARITHMIC, 0, 1, 2}};
-  for (size_t i = 0; i < sizeof wrong / sizeof wrong[0]; i++) {
-    assert_false(dipole_grid_radii(wrong[i].spacing, wrong[i].start, wrong[i].stop, wrong[i].count,
-                                   found, &error));
-    assert_int_equal(error.kind, DIPOLE_ERROR_ARGUMENT);
-  }
-}

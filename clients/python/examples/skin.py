@@ -1,14 +1,11 @@
 """Evaluates skin. An editor or a notebook can run this file cell by cell (# %%); or run all of it:
 
-    python3 skin.py [PICTURE]
+    python3 skin.py
 
-The program uses the dipoled that $DIPOLED names, or a private one. It prints numbers and, if
-matplotlib is installed, draws PICTURE, by default skin.png. Lengths are in mm.
+The program uses the dipoled that $DIPOLED names, or a private one. Lengths are in mm.
 """
 
 # %% The daemon knows measured media, each with a red, a green and a blue channel.
-import sys
-
 import dipole
 import numpy as np
 
@@ -52,28 +49,4 @@ sigma_s = np.geomspace(0.3, 10, 50)[None, :]
 within = client.values("better", dipole.Medium(sigma_a, sigma_s), 1.0, "cdf").values
 print(f"\nenergy within 1 mm: {within.min():.0%} to {within.max():.0%} of {within.shape} media")
 
-# %% The last cell draws the pictures.
 client.close()
-try:
-    import matplotlib  # type: ignore[import]
-except ImportError:
-    print("no pictures without matplotlib: the package python3-matplotlib", file=sys.stderr)
-    sys.exit()
-matplotlib.use("Agg")
-import matplotlib.pyplot as plt  # type: ignore[import]
-
-figure, (left, right) = plt.subplots(1, 2, figsize=(10, 4), layout="constrained")
-for channel, colour in enumerate(("red", "green", "blue")):
-    left.loglog(r, exact.R[channel], color=colour, label=f"{colour}: transport")
-    left.loglog(r, models["better"].R[channel], ":", color=colour, label="better dipole")
-middle = np.sqrt(walked.edges[1:] * walked.edges[:-1])
-left.errorbar(middle, walked.R[0], walked.R_error[0], fmt="k.", label="red: Monte Carlo")
-left.set(xlabel="r, mm", ylabel="R, 1/mm²", title="skin1")
-left.legend()
-image = right.pcolormesh(sigma_s[0], sigma_a[:, 0], within, shading="nearest")
-right.set(xscale="log", yscale="log", xlabel="σs, 1/mm", ylabel="σa, 1/mm")
-right.set_title("energy that leaves within 1 mm")
-figure.colorbar(image, ax=right)
-picture = sys.argv[1] if len(sys.argv) > 1 else "skin.png"
-figure.savefig(picture)
-print(f"\ndrawn: {picture}")
