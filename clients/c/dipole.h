@@ -503,29 +503,6 @@ bool dipole_collect_id(dipole_client *client, uint64_t id, dipole_result **resul
 /* Returns the number of queries that were submitted and not yet collected. */
 size_t dipole_outstanding(const dipole_client *client);
 
-/* ---- the trade between speed and accuracy -------------------------------------------------- */
-
-/* A model and evaluator that could evaluate a query. */
-typedef struct dipole_offer {
-  unsigned model;         /* id, as in the daemon's list */
-  unsigned evaluator;     /* enum dipole_evaluator */
-  bool meets;             /* whether its error is known to be within the parameter tolerance */
-  double error;           /* the largest relative error against radiative transport, over the radii,
-                         media and wanted quantities of the query; INFINITY if it is not known */
-  double numerical_error; /* the evaluator's share of error; a table is built to this error */
-  double cost_ns;         /* time for one value, as measured once on one machine */
-  double prepare_ns;      /* time to prepare one medium, as measured once on one machine */
-} dipole_offer;
-
-/* Lists the models and evaluators that could evaluate a query whose model is DIPOLE_ANY_MODEL,
- * cheapest first. The caller frees *offers, an array of *count, with free(). *taken is the position
- * of the offer that dipole_eval() would take, or *count if it would take none; taken may be NULL.
- * Cheapest are those with the least prepare_ns + cost_ns * radius_count * wanted quantities with a
- * value for each radius. Of listed radii, only the smallest, the largest and their number
- * matter. */
-bool dipole_offers(dipole_client *client, const dipole_query *query, dipole_offer **offers,
-                   size_t *count, size_t *taken, dipole_error *error);
-
 /* ---- drawing radii ------------------------------------------------------------------------- */
 
 /* How number u[i] of a query is given, for i from 0 to sample_count - 1. */

@@ -38,9 +38,8 @@ static bool check(const dipole_fit_query *query, dipole_error *error) {
   }
   if ((query->at == NULL && query->reading_count > 0) ||
       ((query->values == NULL || query->errors == NULL) && query->set_count > 0)) {
-    return libdipole_fail(
-        error, DIPOLE_ERROR_ARGUMENT,
-        "at, values or errors is NULL although reading_count and set_count are not 0");
+    return libdipole_fail_argument(
+        error, "at, values or errors is NULL although reading_count and set_count are not 0");
   }
   if (query->reading_count > CORE_FIT_READINGS_MAX) {
     return libdipole_fail(error, DIPOLE_ERROR_ARGUMENT, "reading_count is at most %d",

@@ -27,8 +27,7 @@ static bool check_query(const dipole_mc_query *query, dipole_error *error) {
                           CORE_MC_ALBEDOS_MAX);
   }
   if (query->albedos == NULL && query->albedo_count > 0) {
-    return libdipole_fail(error, DIPOLE_ERROR_ARGUMENT,
-                          "albedos is NULL although albedo_count is not 0");
+    return libdipole_fail_argument(error, "albedos is NULL although albedo_count is not 0");
   }
   return libdipole_query_check(1, query->spacing, query->parameters, query->parameter_count, error);
 }

@@ -107,7 +107,7 @@ libdipole_frame *libdipole_ask(dipole_client *client, libdipole_pending *pending
              : NULL;
 }
 
-/* ---- eval and offers ----------------------------------------------------------------------- */
+/* ---- eval ---------------------------------------------------------------------------------- */
 
 void dipole_query_init(dipole_query *query) {
   *query = (dipole_query){.model = CORE_MODEL_TRANSPORT,
@@ -122,8 +122,7 @@ static unsigned model_on_wire(unsigned model) {
   return model == DIPOLE_ANY_MODEL ? EVAL_ANY_MODEL : model;
 }
 
-/* Checks a query and sends it as a request of pending->type. Sets pending's deadline, counts and
- * id. */
+/* Checks a query and sends it. Sets pending's number of layers and id. */
 static bool send_query(dipole_client *client, const dipole_query *query, libdipole_pending *pending,
                        dipole_error *error) {
   const bool list = query->spacing == DIPOLE_LIST;
@@ -134,10 +133,7 @@ static bool send_query(dipole_client *client, const dipole_query *query, libdipo
                    list ? query->radius_count : 0, error)) {
     return false;
   }
-  pending->deadline_ms = query->deadline_ms;
-  pending->medium_count = query->medium_count;
   pending->layer_count = libdipole_layers(query->layer_count);
-  pending->radius_count = query->radius_count;
   const wire_eval_request fixed = {.model = (uint16_t)model_on_wire(query->model),
                                    .evaluator = (uint16_t)query->evaluator,
                                    .moments = (uint16_t)query->moments,
@@ -173,8 +169,7 @@ static bool check_choice(const dipole_query *query, dipole_error *error) {
     }
   }
   return query->model != DIPOLE_ANY_MODEL ||
-         libdipole_fail(error, DIPOLE_ERROR_ARGUMENT,
-                        "DIPOLE_ANY_MODEL needs the parameter tolerance");
+         libdipole_fail_argument(error, "DIPOLE_ANY_MODEL needs the parameter tolerance");
 }
 
 static bool submit(dipole_client *client, const dipole_query *query, libdipole_reader *reader,
@@ -185,6 +180,7 @@ static bool submit(dipole_client *client, const dipole_query *query, libdipole_r
   }
   libdipole_pending pending = {.kind = &libdipole_eval_kind,
                                .type = WIRE_TYPE_EVAL,
+                               .deadline_ms = query->deadline_ms,
                                .reader = reader,
                                .into_values = into ? query->into_values : NULL,
                                .into_radii = into ? query->into_radii : NULL};
@@ -274,58 +270,8 @@ bool dipole_collect_id(dipole_client *client, uint64_t id, dipole_result **resul
   error = error != NULL ? error : &(dipole_error){0};
   libdipole_call_begin(client, &libdipole_eval_kind);
   return id != 0 ? collect(client, &id, result, error)
-                 : libdipole_fail(error, DIPOLE_ERROR_ARGUMENT,
-                                  "no query has the id 0: take the id that dipole_submit() gave");
-}
-
-/* The longest list of offers that the library accepts. It is far more than a daemon sends, and
- * small enough that no product of counts overflows. */
-#define OFFERS_MAX_BYTES ((uint64_t)1 << 20)
-
-static bool get_offers(dipole_client *client, const libdipole_frame *frame, dipole_offer **offers,
-                       size_t *count, size_t *taken, dipole_error *error) {
-  const wire_offers_reply *fixed = (const void *)frame->payload;
-  const wire_offer *from = (const void *)(frame->payload + WIRE_BYTES_offers_reply);
-  schema_layout layout;
-  if (!schema_is_whole(&schema_offers_reply, frame->payload, frame->payload_bytes, &layout) ||
-      fixed->taken > fixed->count) {
-    return libdipole_bad_reply(client, "its offers do not have the length that they announce",
-                               error);
-  }
-  *offers = calloc((size_t)fixed->count + 1, sizeof **offers); /* not NULL for an empty list */
-  if (*offers == NULL) {
-    return libdipole_fail_memory(error);
-  }
-  for (size_t i = 0; i < fixed->count; i++) {
-    (*offers)[i] = (dipole_offer){.model = from[i].model,
-                                  .evaluator = from[i].evaluator,
-                                  .meets = from[i].meets != 0,
-                                  .error = from[i].error,
-                                  .numerical_error = from[i].numerical_error,
-                                  .cost_ns = from[i].cost,
-                                  .prepare_ns = from[i].prepare_cost};
-  }
-  *count = fixed->count;
-  if (taken != NULL) {
-    *taken = fixed->taken;
-  }
-  return true;
-}
-
-bool dipole_offers(dipole_client *client, const dipole_query *query, dipole_offer **offers,
-                   size_t *count, size_t *taken, dipole_error *error) {
-  libdipole_pending pending = {.kind = &libdipole_plain,
-                               .type = WIRE_TYPE_OFFERS,
-                               .reply_bytes_min = WIRE_BYTES_offers_reply,
-                               .reply_bytes_max = OFFERS_MAX_BYTES};
-  error = error != NULL ? error : &(dipole_error){0};
-  if (!send_query(client, query, &pending, error)) {
-    return false;
-  }
-  libdipole_frame *frame = libdipole_reply(client, &pending, error);
-  const bool good = frame != NULL && get_offers(client, frame, offers, count, taken, error);
-  free(frame);
-  return good;
+                 : libdipole_fail_argument(
+                       error, "no query has the id 0: take the id that dipole_submit() gave");
 }
 
 /* ---- sample -------------------------------------------------------------------------------- */

@@ -115,8 +115,8 @@ bool dipole_surface_fetch(dipole_client *client, const dipole_table_query *query
                           dipole_surface **surface, dipole_error *error) {
   error = error != NULL ? error : &(dipole_error){0};
   if (query->medium.sigma_a_per_mm != 0 || query->medium.sigma_s_per_mm != 0) {
-    return libdipole_fail(error, DIPOLE_ERROR_ARGUMENT,
-                          "sigma_a and sigma_s of a surface's query are 0: it is for all media");
+    return libdipole_fail_argument(
+        error, "sigma_a and sigma_s of a surface's query are 0: it is for all media");
   }
   libdipole_frame *frame = libdipole_table_request(client, query, WORDS_MAX, error);
   if (frame == NULL) {

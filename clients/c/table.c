@@ -256,8 +256,8 @@ bool dipole_table_fetch(dipole_client *client, const dipole_table_query *query,
   error = error != NULL ? error : &(dipole_error){0};
   if (query->layers == NULL && query->medium.sigma_a_per_mm == 0 &&
       query->medium.sigma_s_per_mm == 0) {
-    return libdipole_fail(error, DIPOLE_ERROR_ARGUMENT,
-                          "sigma_a and sigma_s are 0: dipole_surface_fetch() is for all media");
+    return libdipole_fail_argument(
+        error, "sigma_a and sigma_s are 0: dipole_surface_fetch() is for all media");
   }
   libdipole_frame *frame = libdipole_table_request(client, query, CORE_LUT_WORDS_MAX, error);
   if (frame == NULL) {

@@ -515,14 +515,6 @@ static bool ask(dipole_client *client, unsigned type, unsigned how, dipole_error
     dipole_table_free(fetched);
     return good;
   }
-  case WIRE_TYPE_OFFERS: {
-    dipole_offer *offers = NULL;
-    size_t count, taken;
-    query.model = DIPOLE_ANY_MODEL;
-    good = dipole_offers(client, &query, &offers, &count, &taken, error);
-    free(offers);
-    return good;
-  }
   case WIRE_TYPE_MEDIA: {
     dipole_measured_medium *measured = NULL;
     size_t count;

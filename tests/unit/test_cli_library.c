@@ -280,22 +280,12 @@ UNIT_TEST(test_arguments) {
   REFUSED(dipole_query, dipole_eval(client, &wrong, &result, &error), given, parameter_count, 1);
   REFUSED(dipole_query, dipole_eval(client, &wrong, &result, &error), given, parameter_count,
           65536 + 1);
+  given.parameters = &misspelt;
+  REFUSED(dipole_query, dipole_eval(client, &wrong, &result, &error), given, parameter_count, 1);
+  assert_non_null(strstr(error.text, "parameters[0]"));
   EVAL(model, DIPOLE_ANY_MODEL);
   assert_non_null(strstr(error.text, "needs the parameter tolerance"));
 #undef EVAL
-
-  dipole_offer *offers;
-  size_t count;
-  given.model = DIPOLE_ANY_MODEL;
-  given.parameter_count = 1;
-#define OFFERS(field, value)                                                                       \
-  REFUSED(dipole_query, dipole_offers(client, &wrong, &offers, &count, NULL, &error), given,       \
-          field, value)
-  OFFERS(model, dipole_id(client, DIPOLE_MODEL, "classicall"));
-  OFFERS(parameters, &misspelt);
-  assert_non_null(strstr(error.text, "parameters[0]"));
-  OFFERS(parameters, NULL);
-#undef OFFERS
 
   dipole_table *table;
   const dipole_table_query fetched = {.model = 2, .moments = DIPOLE_EXACT, .medium = media[0]};
