@@ -11,14 +11,13 @@
 
 /* The commands, in the order of help. */
 #define COMMANDS(EACH)                                                                             \
-  EACH(eval)                                                                                       \
-  EACH(plot) EACH(points) EACH(sample) EACH(invert) EACH(fit) EACH(texture) EACH(convert)          \
-      EACH(bake) EACH(gather) EACH(table) EACH(mc) EACH(tissue) EACH(media) EACH(info) EACH(bench)
-
-#define DECLARE(name) extern const cli_command cli_command_##name;
-#define LIST(name) &cli_command_##name,
-COMMANDS(DECLARE)
-const cli_command *const cli_commands[] = {COMMANDS(LIST) NULL};
+  EACH(eval), EACH(plot), EACH(points), EACH(sample), EACH(invert), EACH(fit), EACH(texture),      \
+      EACH(convert), EACH(bake), EACH(gather), EACH(table), EACH(mc), EACH(tissue), EACH(media),   \
+      EACH(info), EACH(bench)
+#define COMMAND(name) cli_command_##name
+#define AT(name) &cli_command_##name
+extern const cli_command COMMANDS(COMMAND);
+const cli_command *const cli_commands[] = {COMMANDS(AT), NULL};
 
 static void print_help(FILE *file) {
   fputs(
