@@ -481,22 +481,26 @@ wire_error schema_parse_numbers(const uint8_t *at, uint32_t count, const core_ch
   return wire_error_none();
 }
 
-uint32_t schema_count_parameters(const core_parameters *parameters) {
-  uint32_t count = 0;
-  for (unsigned id = 0; id < CORE_PARAMETERS_END; id++) {
-    count += !isnan(parameters->value[id]);
+uint16_t schema_put_numbers(void *at, const double *values, unsigned end) {
+  uint8_t *to = at;
+  uint16_t count = 0;
+  for (unsigned id = 0; id < end; id++) {
+    if (!isnan(values[id])) {
+      const wire_parameter one = {.parameter = (uint16_t)id, .value = values[id]};
+      if (to != NULL) {
+        wire_put_parameter(to + (size_t)count * WIRE_BYTES_parameter, &one);
+      }
+      count++;
+    }
   }
   return count;
 }
 
+uint32_t schema_count_parameters(const core_parameters *parameters) {
+  return schema_put_numbers(NULL, parameters->value, CORE_PARAMETERS_END);
+}
+
 size_t schema_put_parameters(uint8_t *at, const core_parameters *parameters) {
-  size_t bytes = 0;
-  for (unsigned id = 0; id < CORE_PARAMETERS_END; id++) {
-    if (!isnan(parameters->value[id])) {
-      const wire_parameter parameter = {.parameter = (uint16_t)id, .value = parameters->value[id]};
-      wire_put_parameter(at + bytes, &parameter);
-      bytes += WIRE_BYTES_parameter;
-    }
-  }
-  return bytes;
+  return schema_put_numbers(at, parameters->value, CORE_PARAMETERS_END) *
+         (size_t)WIRE_BYTES_parameter;
 }

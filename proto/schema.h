@@ -200,11 +200,14 @@ wire_error schema_parse_parameters(const uint8_t *at, uint32_t count, uint32_t l
 wire_error schema_parse_numbers(const uint8_t *at, uint32_t count, const core_choice *list,
                                 double *values);
 
-/* Returns how many parameters are given, that is, not NaN. */
+/* Writes the numbers that are given, that is, not NaN, in the order of their ids: values[end], to `at`,
+ * WIRE_BYTES_parameter each, unless it is NULL. Returns how many there are. */
+uint16_t schema_put_numbers(void *at, const double *values, unsigned end);
+
+/* Returns how many parameters are given. */
 uint32_t schema_count_parameters(const core_parameters *parameters);
 
-/* Writes those parameters that are not NaN, in the order of their ids, WIRE_BYTES_parameter each.
- * Returns the number of bytes written. */
+/* Writes the parameters that are given. Returns the number of bytes. */
 size_t schema_put_parameters(uint8_t *at, const core_parameters *parameters);
 
 #endif

@@ -187,9 +187,9 @@ void modbus_task_run(struct modbus_task *task, uint64_t *budget) {
   }
 }
 
-bool modbus_task_finish(struct modbus_task *task) {
+void modbus_task_finish(struct modbus_task *task) {
   if (!task->evaluated) {
-    return false;
+    return;
   }
   const registers_job *fields = fields_of(task);
   const unsigned sequence =
@@ -200,7 +200,7 @@ bool modbus_task_finish(struct modbus_task *task) {
   task->evaluated = false;
   if (status == REGISTERS_STATUS_ERROR) {
     fail_job(task, error);
-    return true;
+    return;
   }
   set_status(task, task->cancelled ? REGISTERS_STATUS_CANCELLED : status);
   registers_set_u16(task->registers, fields->status + REGISTERS_BEHIND_DONE, task->token);
@@ -208,7 +208,6 @@ bool modbus_task_finish(struct modbus_task *task) {
   clear_error(task);
   set_progress(task, 1);
   stats_add(&task->server->stats, STATS_MODBUS_EVALUATIONS, 1);
-  return true;
 }
 
 void modbus_task_expire(struct modbus_task *task, uint64_t named_ms) {

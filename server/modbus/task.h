@@ -51,9 +51,8 @@ void modbus_task_move(struct modbus_task *task, struct client *from, struct clie
 /* Does slices of a job that runs, until the budget is spent. */
 void modbus_task_run(struct modbus_task *task, uint64_t *budget);
 
-/* Call this when the batch has been evaluated. Returns whether the results of a job that was in it are
- * in the registers now. */
-bool modbus_task_finish(struct modbus_task *task);
+/* Call this when the batch has been evaluated: writes the results of a job that was in it. */
+void modbus_task_finish(struct modbus_task *task);
 
 /* Ends the job if its deadline has passed, or, for Monte Carlo, if no request has named the unit since
  * named_ms for too long. */

@@ -369,6 +369,13 @@ static struct values array_of(const uint8_t *reply, const eval_layout *layout,
 
 static void take_eval(const uint8_t *request, const uint8_t *reply, size_t reply_bytes,
                       uint16_t image[REGISTERS_END]) {
+  static const struct {
+    enum core_quantity quantity;
+    unsigned single_at, double_at;
+  } arrays[] = {{CORE_QUANTITY_R, REGISTERS_AT_R, REGISTERS_AT_R_DOUBLE},
+                {CORE_QUANTITY_CDF, REGISTERS_AT_CDF, REGISTERS_AT_CDF_DOUBLE},
+                {CORE_QUANTITY_T, REGISTERS_AT_T, 0},
+                {CORE_QUANTITY_S, REGISTERS_AT_S, REGISTERS_AT_S_DOUBLE}};
   wire_eval_request fixed;
   wire_eval_reply start;
   eval_layout layout;
@@ -382,20 +389,16 @@ static void take_eval(const uint8_t *request, const uint8_t *reply, size_t reply
   double room[REGISTERS_RADII_MAX];
   fixed.evaluator = start.evaluator;
   const struct values radii = radii_of(request, &fixed, room);
-  const struct values R = array_of(reply, &layout, &start, CORE_QUANTITY_R);
-  const struct values cdf = array_of(reply, &layout, &start, CORE_QUANTITY_CDF);
-  const struct values T = array_of(reply, &layout, &start, CORE_QUANTITY_T);
-  const struct values S = array_of(reply, &layout, &start, CORE_QUANTITY_S);
   const unsigned before = registers_u16(image, REGISTERS_AT_COUNT);
-  set_values(image, REGISTERS_AT_R, REGISTERS_AT_R_DOUBLE, &R, count, before);
-  set_values(image, REGISTERS_AT_CDF, REGISTERS_AT_CDF_DOUBLE, &cdf, count, before);
-  set_values(image, REGISTERS_AT_T, 0, &T, count, before);
-  set_values(image, REGISTERS_AT_S, REGISTERS_AT_S_DOUBLE, &S, count, before);
+  for (size_t i = 0; i < sizeof arrays / sizeof arrays[0]; i++) {
+    const struct values values = array_of(reply, &layout, &start, arrays[i].quantity);
+    set_values(image, arrays[i].single_at, arrays[i].double_at, &values, count, before);
+  }
   set_values(image, REGISTERS_AT_DISTANCES, 0, &radii, count, before);
   const wire_quantity_error error = eval_largest_error(reply, &layout, start.wanted, 0);
   const double most_mm = largest(&radii, count);
-  set_errors(image, &error, most_mm, R.bytes == sizeof(double));
-  set_errors_of_each(image, reply, &layout, start.wanted, most_mm, R.bytes == sizeof(double));
+  set_errors(image, &error, most_mm, radii.bytes == sizeof(double));
+  set_errors_of_each(image, reply, &layout, start.wanted, most_mm, radii.bytes == sizeof(double));
   double albedo;
   memcpy(&albedo, reply + eval_albedo_offset(0), sizeof albedo);
   registers_set_f32(image, REGISTERS_AT_ALBEDO, (float)albedo);

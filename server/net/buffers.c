@@ -10,9 +10,6 @@
  * time. */
 enum { BASE_BYTES = 65536, GROWTH = 8 };
 
-/* Memory that has not been needed for this time is freed. */
-enum { TRIM_MS = 1000 };
-
 void input_init(struct input *input, struct server *server) {
   *input = (struct input){.server = server, .budget = &server->buffers};
 }
@@ -25,7 +22,6 @@ void input_free(struct input *input) {
   input->marks = NULL;
   input->mark_count = 0;
   input->capacity = input->begin = input->end = 0;
-  input->large = false;
 }
 
 static bool resize(struct input *input, size_t capacity) {
@@ -95,7 +91,6 @@ size_t input_room(struct input *input, uint8_t **room) {
   if (input->end == input->capacity && !resize(input, larger(input))) {
     return 0;
   }
-  input->large |= held(input) > BASE_BYTES / 2;
   *room = input->bytes + input->end;
   return input->capacity - input->end;
 }
@@ -244,12 +239,8 @@ void input_release(struct input *input) {
   }
 }
 
-void input_trim(struct input *input, uint64_t now_ms) {
-  if (input->large) {
-    input->large_ms = now_ms;
-    input->large = false;
-  } else if (input->capacity > BASE_BYTES && held(input) <= BASE_BYTES &&
-             now_ms - input->large_ms > TRIM_MS) {
+void input_trim(struct input *input) {
+  if (input->capacity > BASE_BYTES && held(input) <= BASE_BYTES) {
     move_to_front(input);
     resize(input, BASE_BYTES);
   }

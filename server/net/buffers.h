@@ -33,8 +33,6 @@ struct input {
   size_t capacity;
   size_t begin;         /* where the first frame begins that has not been dealt with */
   size_t end;           /* end of the bytes that have arrived */
-  bool large;           /* whether it has needed more than its first size since input_trim() */
-  uint64_t large_ms;    /* when input_trim() last found `large` set */
   uint64_t skip_bytes;  /* bytes of a refused payload that have still to arrive */
   uint64_t skip_id;     /* request id of the refused payload */
   uint64_t total_bytes; /* number of bytes that have arrived so far */
@@ -96,9 +94,9 @@ bool input_refuse(struct input *input, wire_header *header);
 /* Frees the buffer if it is empty. */
 void input_release(struct input *input);
 
-/* Shrinks the buffer to its first size when it has not needed more for a second. Call this several
- * times a second, while no payload is in use. */
-void input_trim(struct input *input, uint64_t now_ms);
+/* Shrinks the buffer to its first size if that is enough for what has arrived. Call this several times
+ * a second, while no payload is in use. */
+void input_trim(struct input *input);
 
 /* Returns whether a frame has begun to arrive and is not complete. */
 bool input_partial(const struct input *input);

@@ -428,7 +428,7 @@ static void check_time(struct client *client, uint64_t now_ms) {
     worker_run_later(&c->transport.client);
   }
   if (!requests_hold_input(&c->requests)) {
-    input_trim(&c->input, now_ms);
+    input_trim(&c->input);
   }
   if (c->requests.ended || c->output.ready_bytes > 0) {
     if (now_ms - c->transport.active_ms > options->idle_timeout_ms) {

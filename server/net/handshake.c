@@ -11,11 +11,6 @@
 #include "server/net/worker.h"
 #include "server/observe/log.h"
 
-enum {
-  MOST_BYTES = 65536,  /* most bytes that a client may send in a handshake */
-  MOST_WAITING = 1024, /* most sockets that may wait for the worker */
-};
-
 TAILQ_HEAD(queue, handshake);
 
 struct handshakes {
@@ -23,7 +18,6 @@ struct handshakes {
   struct tls *tls;
   struct worker *worker;
   handshakes_done *done;
-  _Atomic unsigned waiting; /* number of sockets that wait for the worker */
   /* Clients that have sent nothing, and handshakes under way; the oldest one comes first. */
   struct queue queues[2];
   unsigned counts[2];
@@ -169,8 +163,6 @@ static void run_turn(struct client *client) {
     end_handshake(h);
   } else if (progress == TLS_FAILED) {
     fail_handshake(h, why);
-  } else if (tls_session_received_bytes(h->session) > MOST_BYTES) {
-    fail_handshake(h, "the handshake has too many bytes");
   } else {
     await_event(h, progress == TLS_WANTS_WRITE ? UV_WRITABLE : UV_READABLE);
   }
@@ -187,8 +179,6 @@ static void check_time(struct client *client, uint64_t now_ms) {
 
 static void start_client(struct client *client) {
   struct handshake *h = handshake_of(client);
-  struct handshakes *all = h->all;
-  atomic_fetch_sub(&all->waiting, 1);
   cache_lower_priority(10);
   if (uv_poll_init(&client->worker->loop, &h->poll, h->fd) != 0) {
     worker_forget(client);
@@ -230,12 +220,10 @@ void handshakes_admit(struct server *server, int fd) {
 
 void handshakes_begin(struct server *server, int fd, handshakes_done *done) {
   struct handshakes *all = server->handshakes;
-  const bool full = atomic_load(&all->waiting) >= MOST_WAITING;
-  struct handshake *h = full ? NULL : calloc(1, sizeof *h);
+  struct handshake *h = calloc(1, sizeof *h);
   const int on = 1;
   if (h == NULL) {
-    refuse_socket(server, fd, full ? "too many have begun at once" : "out of memory",
-                  STATS_TLS_HANDSHAKES_FAILED);
+    refuse_socket(server, fd, "out of memory", STATS_TLS_HANDSHAKES_FAILED);
     return;
   }
   setsockopt(fd, IPPROTO_TCP, TCP_NODELAY, &on, sizeof on);
@@ -243,7 +231,6 @@ void handshakes_begin(struct server *server, int fd, handshakes_done *done) {
   h->all = all;
   h->fd = fd;
   h->done = done;
-  atomic_fetch_add(&all->waiting, 1);
   worker_give(all->worker, &h->client);
 }
 

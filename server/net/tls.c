@@ -321,10 +321,6 @@ unsigned tls_session_roles(const struct tls_session *session) {
   return roles != NULL ? roles_of(roles, subject, role) : ROLE_ALL;
 }
 
-uint64_t tls_session_received_bytes(const struct tls_session *session) {
-  return BIO_number_written(SSL_get_rbio(ssl_of(session)));
-}
-
 bool tls_session_is_blocked(const struct tls_session *session) {
   return SSL_want_write(ssl_of(session));
 }

@@ -50,9 +50,6 @@ enum tls_progress tls_session_shake_hands(struct tls_session *session, char why[
 /* Returns the sum of the client's roles (server/net/roles.h), after the handshake. */
 unsigned tls_session_roles(const struct tls_session *session);
 
-/* Returns how many bytes the peer has sent. */
-uint64_t tls_session_received_bytes(const struct tls_session *session);
-
 /* These return a number of bytes above 0, or UV_EAGAIN, or UV_EOF (reading) when the peer has ended
  * its sending side, or UV_EPROTO. A read also returns 0 when it has met a record without content,
  * as an update of keys, which takes tens of microseconds: the next read continues, and others ought

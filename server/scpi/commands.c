@@ -672,17 +672,6 @@ COMMAND(use_format) {
 
 /* ---- jobs ------------------------------------------------------------------------------------ */
 
-/* Writes those of a list of numbers that are given, in the order of their ids. Returns how many. */
-static uint16_t list_given(const double *values, size_t end, wire_parameter *given) {
-  uint16_t count = 0;
-  for (size_t id = 0; id < end; id++) {
-    if (!isnan(values[id])) {
-      given[count++] = (wire_parameter){.parameter = (uint16_t)id, .value = values[id]};
-    }
-  }
-  return count;
-}
-
 /* Returns the numbers of a list; NULL if it is empty. */
 static const void *numbers_of(const struct scpi_session *s, enum scpi_list list) {
   return length_of(s, list) > 0 ? s->lists[list].bytes : NULL;
@@ -812,7 +801,7 @@ COMMAND(ask_quantity) {
   }
   start.wanted = quantity | CORE_QUANTITY_MODEL_ERROR;
   start.layer_count = s->settings.layer_count;
-  start.parameter_count = list_given(parameters.value, CORE_PARAMETERS_END, list);
+  start.parameter_count = schema_put_numbers(list, parameters.value, CORE_PARAMETERS_END);
   start.radius_count = total ? 0 : length_of(s, places);
   s->waits_for = command;
   return has_medium(s) && start_task(s, SCPI_EVAL, WIRE_TYPE_EVAL, &start, list, &s->lists[places])
@@ -854,7 +843,7 @@ COMMAND(use_wavelength) {
   if (outcome != DONE || unit->query) {
     return outcome;
   }
-  start.property_count = list_given(s->settings.properties, CORE_PROPERTIES_END, list);
+  start.property_count = schema_put_numbers(list, s->settings.properties, CORE_PROPERTIES_END);
   s->waits_for = command;
   const bool started = start_task(s, SCPI_EVAL, WIRE_TYPE_TISSUE, &start, list, NULL);
   s->settings.wavelength_nm = started ? s->settings.wavelength_nm : s->wavelength_before_nm;
@@ -946,7 +935,7 @@ COMMAND(start_spectrum) {
       start.sought_count++;
     }
   }
-  start.property_count = list_given(s->settings.properties, CORE_PROPERTIES_END, list);
+  start.property_count = schema_put_numbers(list, s->settings.properties, CORE_PROPERTIES_END);
   return start_task(s, SCPI_SPECTRUM, WIRE_TYPE_FIT_TISSUE, &start, list, NULL) ? note_jobs(s)
                                                                                 : FAILED;
 }
