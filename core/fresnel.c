@@ -96,7 +96,7 @@ static struct moments sum_near_grazing(const struct boundary *b, dd end, double 
   return sum;
 }
 
-static core_fresnel exact_moments(double eta) {
+static core_fresnel integrate_moments(double eta) {
   if (eta == 1) {
     return (core_fresnel){1, 1};
   }
@@ -126,6 +126,20 @@ static core_fresnel exact_moments(double eta) {
       .one_minus_2c1 = dd_round(dd_mul(squared, first)),
       .one_minus_3c2 = dd_round(dd_mul(dd_from(1.5), dd_mul(cubed, second))),
   };
+}
+
+/* Each thread keeps those of its latest index: they take longer than all else that a dipole needs, and
+ * media that differ mostly have one index. */
+static core_fresnel exact_moments(double eta) {
+  static _Thread_local struct {
+    double eta;
+    core_fresnel moments;
+  } latest;
+  if (latest.eta != eta) {
+    latest.moments = integrate_moments(eta);
+    latest.eta = eta;
+  }
+  return latest.moments;
 }
 
 /* Evaluates a polynomial. Its coefficients are in millionths, beginning with the highest power. */
