@@ -109,25 +109,16 @@ void http_text_number(struct text *text, const char *key, double value) {
   }
 }
 
-/* Number of values for which room is made at a time. */
-enum { NUMBERS_AT_ONCE = 256 };
-
 void http_text_numbers(struct text *text, const char *key, const void *values, uint64_t count,
                        bool single) {
-  char *at = NULL;
   http_text_begin(text, key, '[');
   for (uint64_t i = 0; i < count; i++) {
-    if (i % NUMBERS_AT_ONCE == 0) {
-      const uint64_t left = count - i;
-      at = text_room(text, (DECIMAL_BYTES + 1) *
-                               (size_t)(left < NUMBERS_AT_ONCE ? left : NUMBERS_AT_ONCE));
-      if (at == NULL) {
-        return;
-      }
+    char *at = text_room(text, DECIMAL_BYTES + 1);
+    if (at == NULL) {
+      return;
     }
-    if (i > 0) {
-      *at++ = ',';
-    }
+    *at = ',';
+    at += i > 0;
     at +=
         write_number(single ? (double)((const float *)values)[i] : ((const double *)values)[i], at);
     end_value(text, at);

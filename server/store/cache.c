@@ -8,13 +8,13 @@
 #include <uv.h>
 
 enum {
-  BUCKETS_MIN = 256, /* least number of buckets; every number is a power of two */
-  FAST_SHARE = 4,    /* What is fast to prepare may hold a quarter of all bytes. */
-  LISTS = 3,         /* things that are fast to prepare, slow ones, and those apart */
-  APART = 2,         /* index of the list of things apart */
-  OWN_TURNS = 2,     /* of one owner at a time in each lane */
-  THREADS_MOST = 8,  /* that solve: for so many owners at a time, if each has one turn */
-  SOLVE_NICE = 5,    /* which gives a third of the share of a worker on its core */
+  BUCKETS = 65536,  /* the system gives memory to those that are used */
+  FAST_SHARE = 4,   /* What is fast to prepare may hold a quarter of all bytes. */
+  LISTS = 3,        /* things that are fast to prepare, slow ones, and those apart */
+  APART = 2,        /* index of the list of things apart */
+  OWN_TURNS = 2,    /* of one owner at a time in each lane */
+  THREADS_MOST = 8, /* that solve: for so many owners at a time, if each has one turn */
+  SOLVE_NICE = 5,   /* which gives a third of the share of a worker on its core */
 };
 
 struct cache_entry {
@@ -66,10 +66,8 @@ struct cache {
   struct stats *stats;
   uint64_t limit_bytes;
   uint64_t apart_bytes;
-  uv_mutex_t mutex; /* guards the members that follow */
-  struct bucket *buckets;
-  uint64_t bucket_count;
-  uint64_t entry_count; /* number of entries in the buckets, prepared or not */
+  uv_mutex_t mutex;       /* guards the members that follow */
+  struct bucket *buckets; /* [BUCKETS] */
   struct list lists[LISTS];
   struct lane lanes[CACHE_LANES];
   unsigned own_turns; /* of one owner at a time in each lane */
@@ -129,7 +127,7 @@ static bool is_equal(const struct cache_key *a, const struct cache_key *b) {
 }
 
 static struct bucket *bucket_of(const struct cache *cache, uint64_t hash) {
-  return &cache->buckets[hash & (cache->bucket_count - 1)];
+  return &cache->buckets[hash % BUCKETS];
 }
 
 static struct cache_entry *find_entry(const struct cache *cache, const struct cache_key *key) {
@@ -140,39 +138,6 @@ static struct cache_entry *find_entry(const struct cache *cache, const struct ca
     }
   }
   return entry;
-}
-
-/* Doubles the number of buckets. If there is no memory, keeps the old buckets. */
-static void grow_table(struct cache *cache) {
-  const uint64_t old_count = cache->bucket_count;
-  struct bucket *old = cache->buckets;
-  struct bucket *buckets = calloc(2 * old_count, sizeof *buckets);
-  if (buckets == NULL) {
-    return;
-  }
-  cache->buckets = buckets;
-  cache->bucket_count = 2 * old_count;
-  for (uint64_t i = 0; i < old_count; i++) {
-    struct cache_entry *entry;
-    while ((entry = LIST_FIRST(&old[i])) != NULL) {
-      LIST_REMOVE(entry, in_bucket);
-      LIST_INSERT_HEAD(bucket_of(cache, entry->key.hash), entry, in_bucket);
-    }
-  }
-  free(old);
-}
-
-static void add_entry(struct cache *cache, struct cache_entry *entry) {
-  if (cache->entry_count == cache->bucket_count) {
-    grow_table(cache);
-  }
-  LIST_INSERT_HEAD(bucket_of(cache, entry->key.hash), entry, in_bucket);
-  cache->entry_count++;
-}
-
-static void remove_entry(struct cache *cache, struct cache_entry *entry) {
-  LIST_REMOVE(entry, in_bucket);
-  cache->entry_count--;
 }
 
 /* ---- eviction -------------------------------------------------------------------------------- */
@@ -209,7 +174,7 @@ static void evict_one(struct cache *cache, struct list *list, struct entries *ev
   TAILQ_REMOVE(&list->entries, entry, in_list);
   list->bytes -= entry->bytes;
   list->count--;
-  remove_entry(cache, entry);
+  LIST_REMOVE(entry, in_bucket);
   atomic_store_explicit(&entry->kept, false, memory_order_relaxed);
   TAILQ_INSERT_HEAD(evicted, entry, in_list);
   const bool apart = entry->key.kind->apart;
@@ -251,7 +216,7 @@ static void make_room(struct cache *cache, const struct cache_entry *entry,
  * than the limit, removes it and adds it to the evicted entries. */
 static void keep_entry(struct cache *cache, struct cache_entry *entry, struct entries *evicted) {
   if (entry->fault.field != NULL || entry->bytes > limit_of(cache, entry)) {
-    remove_entry(cache, entry);
+    LIST_REMOVE(entry, in_bucket);
     TAILQ_INSERT_HEAD(evicted, entry, in_list);
     return;
   }
@@ -352,7 +317,7 @@ static bool give_up(struct cache_entry *entry) {
   if (!is_slow(entry) || !LIST_EMPTY(&entry->waiters)) {
     return false;
   }
-  remove_entry(entry->cache, entry);
+  LIST_REMOVE(entry, in_bucket);
   entry->under_way = false;
   return true;
 }
@@ -404,7 +369,7 @@ static struct cache_entry *new_entry(struct cache *cache, const struct cache_key
     entry->under_way = true;
     entry->begun = pace == CACHE_FAST;
     atomic_init(&entry->references, 1);
-    add_entry(cache, entry);
+    LIST_INSERT_HEAD(bucket_of(cache, entry->key.hash), entry, in_bucket);
   }
   return entry;
 }
@@ -472,8 +437,7 @@ struct cache *cache_new(const core_isa *isa, uint64_t limit_bytes, uint64_t apar
   /* leaves processors for the workers */
   cache->own_turns = uv_available_parallelism() < 4 ? 1 : OWN_TURNS;
   cache->stats = stats;
-  cache->bucket_count = BUCKETS_MIN;
-  cache->buckets = calloc(BUCKETS_MIN, sizeof *cache->buckets);
+  cache->buckets = calloc(BUCKETS, sizeof *cache->buckets);
   for (int i = 0; i < LISTS; i++) {
     TAILQ_INIT(&cache->lists[i].entries);
   }
@@ -514,7 +478,7 @@ void cache_free(struct cache *cache) {
     return;
   }
   stop_threads(cache);
-  for (uint64_t i = 0; i < cache->bucket_count; i++) {
+  for (size_t i = 0; i < BUCKETS; i++) {
     struct cache_entry *entry;
     while ((entry = LIST_FIRST(&cache->buckets[i])) != NULL) {
       assert(!entry->under_way && atomic_load(&entry->references) == 1);

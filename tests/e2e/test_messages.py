@@ -19,12 +19,12 @@ from command_line import Proxy
 from daemons import Daemon, eventually
 from dipole import Frame, wire
 from frames import (  # noqa: F401  (wrong.txt takes some)
-    ALBEDO, BETTER, EVAL, F32, LINEAR, LOGARITHMIC, PING, RADIUS, SKIN, R, ask, assert_closed,
+    ALBEDO, BETTER, EVAL, F32, F64, LINEAR, LOGARITHMIC, PING, RADIUS, SKIN, R, ask, assert_closed,
     assert_daemon_serves, assert_error, assert_refused, assert_serves, eval_payload, fit_layers_payload, fit_payload, fit_tissue_payload, frame, tissue_payload,
     gather_payload, head_bytes, header, invert_payload, mc_payload, parameters_bytes, points_payload,
     sample_payload, statistics, table_payload, varying_payload,
 )
-from lists import MODELS, MOMENTS, PARAMETERS, choices
+from lists import MODELS, MOMENTS, PARAMETERS, QUANTITIES, choices
 from messages import (
     CALLS, COMMANDS, FILES, LONG, MC, PARTED, PARTED_CALLS, POINTS_SENT, SAMPLES, SMALL, STREAMED, assert_same, call, receive_answer,
     refusal, reply_structure, send_points,
@@ -350,6 +350,15 @@ def test_payloads_that_do_not_fit_their_structure(shared, message):
             if name is None and len(other) < len(payload):
                 assert wire.STATUSES[error.status] in ("bad-length", "bad-count"), error
         assert_serves(connection)
+
+
+@pytest.mark.parametrize("start, r, model, evaluator", [(2.0, 2.0, "transport", F64), (1e-300, 0.0, "better", F32)])
+def test_a_grid_of_one_radius_is_a_list_of_one(connection, start, r, model, evaluator):
+    """Its end does not count, and errors are those of the radius in the evaluator's precision."""
+    common = {"wanted": R | QUANTITIES["model_error"], "model": MODELS[model], "evaluator": evaluator}
+    grid = eval_payload(radii=None, radius_count=1, radius_start=start, radius_stop=1e4, **common)
+    listed = ask(connection, EVAL, eval_payload(radii=[r], **common))
+    assert ask(connection, EVAL, grid).payload == listed.payload != b""
 
 
 def test_a_long_list_is_cut_between_its_entries(connection):
