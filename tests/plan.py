@@ -5,17 +5,16 @@
 
 It starts daemons of this build and measures what a request of each kind costs: processor time of
 the daemon, and bytes. From that it simulates queues. A connection belongs to one worker, so each
-worker has a queue of its own (M/G/1: requests come at random, and services are those of the mix);
-beside it stands one queue for all workers (M/G/k), which would be the best. Profiles are prepared,
-and photons walk, on other threads: they take cores and wait in no worker's queue. Workers take
-turns with large requests, so that small ones wait for less than the simulation says.
+worker has a queue of its own (M/G/1: requests come at random, and services are those of the mix).
+Profiles are prepared, and photons walk, on other threads: they take cores and wait in no worker's
+queue. Workers take turns with large requests, so that small ones wait for less than the simulation
+says.
 
 --check measures the capacity of three daemons that share one core, under the whole mix, and compares
 it with the simulated one. A measurement counts answers per second of processor time that the daemons
 got, so that other programs on the machine do not change it."""
 
 import argparse
-import heapq
 import math
 import os
 import re
@@ -236,24 +235,11 @@ def measure(mix: dict[str, float], seconds: float) -> dict[str, Cost]:
 # ---- simulating ----------------------------------------------------------------------------------
 
 
-def waits_of_one(gaps_s: np.ndarray, services_s: np.ndarray) -> np.ndarray:
+def waits_of(gaps_s: np.ndarray, services_s: np.ndarray) -> np.ndarray:
     """Returns how long each request waits for one server, first come, first served (Lindley 1952:
     W' = max(0, W + service - gap)). gaps_s: the time from the request before to each."""
     sums = np.concatenate([[0.0], np.cumsum(services_s[:-1] - gaps_s[1:])])
     return sums - np.minimum.accumulate(sums)
-
-
-def waits_of_many(gaps_s: np.ndarray, services_s: np.ndarray, servers: int) -> np.ndarray:
-    """Returns how long each request waits in one queue for several servers."""
-    free_s = [0.0] * servers
-    now_s = 0.0
-    waits = np.empty(len(gaps_s))
-    for i, (gap_s, service_s) in enumerate(zip(gaps_s, services_s)):
-        now_s += gap_s
-        start_s = max(now_s, heapq.heappop(free_s))
-        waits[i] = start_s - now_s
-        heapq.heappush(free_s, start_s + service_s)
-    return waits
 
 
 def draw(mix: dict[str, float], costs: dict[str, Cost], count: int, seed: int) -> np.ndarray:
@@ -283,8 +269,7 @@ class Plan(NamedTuple):
     cores: int
     busy: float
     daemons: int
-    own_queue_wait_s: float
-    shared_queue_wait_s: float
+    wait_s: float
     in_bits_per_s: float
     out_bits_per_s: float
 
@@ -301,14 +286,14 @@ def rate_of_a_worker(services_s: np.ndarray, wait_s: float) -> tuple[float, floa
     least, most, wait = 0.0, BUSY_MOST / services_s.mean(), 0.0
     for _ in range(30):
         rate = most if least == 0.0 and wait == 0.0 else (least + most) / 2
-        wait = float(np.quantile(waits_of_one(gaps / rate, services_s), 0.99))
+        wait = float(np.quantile(waits_of(gaps / rate, services_s), 0.99))
         if wait <= wait_s:
             least = rate
             if rate == most:
                 break
         else:
             most = rate
-    return least, float(np.quantile(waits_of_one(gaps / least, services_s), 0.99))
+    return least, float(np.quantile(waits_of(gaps / least, services_s), 0.99))
 
 
 def plan(
@@ -326,13 +311,8 @@ def plan(
     needed = asked / of_worker + max(0.0, asked * background_s / BUSY_MOST)
     count = max(1, math.ceil(needed))
     daemons = math.ceil(count / cores)
-    workers = max(1, math.ceil(asked / of_worker))
-    shared = 0.0
-    if workers <= 64:  # Of more, hardly any request waits.
-        gaps = np.random.default_rng(8).exponential(1 / asked, 100_000)
-        shared = float(np.quantile(waits_of_many(gaps, services_s[:100_000], workers), 0.99))
     return Plan(
-        nodes, asked, count, asked * mean["core_s"] / count, daemons, wait, shared,
+        nodes, asked, count, asked * mean["core_s"] / count, daemons, wait,
         asked * on_the_wire(mean["received_bytes"]), asked * on_the_wire(mean["sent_bytes"]),
     )  # fmt: skip
 
@@ -356,14 +336,13 @@ def costs_table(mix: dict[str, float], costs: dict[str, Cost]) -> str:
 def plans_table(plans: list[Plan], cores: int) -> str:
     lines = [
         f"| nodes | requests/s | cores | daemons of {cores} cores | 99 % wait less than | "
-        "with one queue | network to, from the daemons |",
-        "|---|---|---|---|---|---|---|",
+        "network to, from the daemons |",
+        "|---|---|---|---|---|---|",
     ]
     for one in plans:
-        shared = f"{one.shared_queue_wait_s * 1e3:.2f} ms" if one.cores <= 64 else "-"
         lines.append(
             f"| {one.nodes:,} | {one.requests_per_s:,.0f} | {one.cores:,} | {one.daemons:,} | "
-            f"{one.own_queue_wait_s * 1e3:.2f} ms | {shared} | "
+            f"{one.wait_s * 1e3:.2f} ms | "
             f"{one.in_bits_per_s / 1e9:.3g}, {one.out_bits_per_s / 1e9:.3g} Gbit/s |"
         )
     return "\n".join(lines)

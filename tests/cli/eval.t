@@ -538,3 +538,14 @@ $ printf '1.0\n1\n' > a.mci; printf '1.0\n1\na.mco A\n1\n.1 .1\n1 1 1\n9\n1\n' >
 ! dipole eval: a.mci:2: a run is missing: expected the name of its output file
 ! dipole eval: b.mci:8: 9 layers: allowed: 1 to 8
 ! dipole eval: c.mci:9: '1.4 1 10 .8 .1 5': expected n, mua, mus, g and d of a layer, in cm
+
+$ for i in '1 1.4 1.2' '2 2.8 2.4'; do set -- $i; printf "1.0\n1\na.mco A\n1\n.1 .1\n1 2 1\n1\n$1\n$2 1 10 .8 .1\n$3\n" > a.mci; dipole eval --mci a.mci --format csv > $1.csv; done; cmp 1.csv 2.csv; cut -d, -f2,6 1.csv
+quantity,value
+Rsp,0.02777777777777779
+Rd,0.030124724891996274
+Tt,0.7960796873817799
+A,0.1460178099484459
+Rd_r,0.4245531639259945
+Rd_r,0.05098516888107113
+Tt_r,23.844316135521236
+Tt_r,0.17382521408991145

@@ -146,6 +146,9 @@ out.total_uM.pfm 80 NaN
 out.total_uM_error.pfm 2.137 NaN
 ! dipole fit: images.csv: 1 of 2 pixels were not fitted whole: what is not fitted is NaN; the map status has the ids of `dipole info`
 
+$ for i in [678]*.pfm; do perl -e 'local $/; $_ = <>; /^Pf\n2 1\n-1\n(....)/s or die; open $o, ">", "wide-$ARGV"; print $o "Pf\n60 1\n-1\n", $1 x 60' $i; done; sed 's/,[^,]*pfm/,wide-&/;s/-,/-/' images.csv > wide.csv; for bytes in 4096 1048576; do DIPOLED_MAX_PART_BYTES=$bytes dipole fit wide.csv --unknown hbo2,hb,a,b --tissue water=.6 --maps $bytes.pfm > $bytes.txt; done; cmp 4096.txt 1048576.txt; cmp 4096.hbo2_uM.pfm 1048576.hbo2_uM.pfm; tail -1 4096.txt
+total_uM        60      60
+
 $ dipole fit images.csv --unknown hbo2,hb --maps out.png; dipole fit images.csv --maps out.pfm; sed s/850-0.pfm/nothing.pfm/ images.csv | dipole fit --unknown hbo2 --maps out.pfm; cut -d, -f1-3 images.csv | dipole fit --unknown hbo2 --maps out.pfm; sed 's/image/image,R/;s/pfm/pfm,1/' images.csv | dipole fit --unknown hbo2 --maps out.pfm; printf 'Pf\n1 1\n-1\n0000' > 850-0.pfm; dipole fit images.csv --unknown hbo2 --tissue a=1,b=1 --maps out.pfm
 ! dipole fit: --maps: out.png does not end with .pfm
 ! `dipole fit --help` says more.

@@ -101,6 +101,12 @@ def test_the_example_without_an_output(installed, irradiance, shared, closing, s
     assert done.returncode == 1 and ("standard output" in done.stderr or "2>" in closing)
 
 
+def test_calls_that_nothing_else_makes(installed, tmp_path, shared):
+    program = tmp_path / "calls"
+    installed.compile(["cc", "-std=c17", "-Wall", "-Wextra"], REPOSITORY / "tests/e2e/calls.c", program)
+    installed.run(program, shared.url())
+
+
 def test_the_readme(installed, tmp_path, shared):
     (block,) = [block for block in blocks() if block.startswith("#include <dipole.h>")]
     (tmp_path / "readme.c").write_text(block)

@@ -1,5 +1,6 @@
 """`dipole mc`: its table for people and for programs, its progress, and Ctrl-C."""
 
+import re
 import signal
 
 import pytest
@@ -11,7 +12,9 @@ ENDLESS = ["--sigma-a", "1e-4", "--sigma-s", "10", "--g", "0.9", "--photons", "1
 
 def test_progress_and_ctrl_c():
     run = Terminal("mc", *ENDLESS, on=[2])
-    run.read_until(lambda seen: "worst ring" in seen)
+    run.read_until(lambda seen: re.search(r"worst ring .* mm: ", seen))
+    least, most = re.search(r"worst ring (\S+) to (\S+) mm: ", run.seen).groups()
+    assert float(most) - float(least) == pytest.approx(0.5)  # 20 rings up to 10 mm
     assert "photons" in run.seen and " left" in run.seen and run.seen.startswith("\r[")
     run.process.send_signal(signal.SIGINT)
     run.read_until(lambda seen: "cancelled after" in seen)

@@ -31,7 +31,7 @@ def mean_of_runs(run) -> float:
 @pytest.mark.parametrize("busy", [0.3, 0.7, 0.9])
 def test_services_that_are_equally_long(plan, busy):
     """Pollaczek and Khinchine: the mean wait is busy / (2 (1 - busy)) services."""
-    mean = mean_of_runs(lambda seed: plan.waits_of_one(times(busy, seed), np.ones(COUNT)).mean())
+    mean = mean_of_runs(lambda seed: plan.waits_of(times(busy, seed), np.ones(COUNT)).mean())
     assert mean == pytest.approx(busy / (2 * (1 - busy)), rel=0.05)
 
 
@@ -40,25 +40,9 @@ def test_services_that_are_random(plan, busy):
     """M/M/1: a wait is longer than t with the probability busy exp(-(1 - busy) t)."""
 
     def run(seed: int) -> float:
-        return np.quantile(plan.waits_of_one(times(busy, seed), times(1.0, seed + 50)), 0.99)
+        return np.quantile(plan.waits_of(times(busy, seed), times(1.0, seed + 50)), 0.99)
 
     assert mean_of_runs(run) == pytest.approx(math.log(100 * busy) / (1 - busy), rel=0.05)
-
-
-@pytest.mark.parametrize("servers", [1, 4, 16])
-def test_one_queue_for_several(plan, servers):
-    """Erlang (1917): the mean wait in M/M/k."""
-    load = 0.8 * servers
-
-    def run(seed: int) -> float:
-        return plan.waits_of_many(times(load, seed), times(1.0, seed + 50), servers).mean()
-
-    below = sum(load**n / math.factorial(n) for n in range(servers))
-    last = load**servers / math.factorial(servers) / 0.2
-    assert mean_of_runs(run) == pytest.approx(last / (below + last) / (servers - load), rel=0.05)
-    if servers == 1:
-        same = times(load, 1), times(1.0, 2)
-        assert np.allclose(plan.waits_of_many(*same, 1), plan.waits_of_one(*same))
 
 
 def test_a_plan_keeps_its_limits_and_grows_with_the_farm(plan):
@@ -67,11 +51,10 @@ def test_a_plan_keeps_its_limits_and_grows_with_the_farm(plan):
     plans = [plan.plan(mix, costs, nodes, 10.0, 16, 5e-3) for nodes in (1000, 10_000, 100_000)]
     mean_s = 0.95 * 1e-5 + 0.05 * 1e-3
     for one in plans:
-        assert one.busy <= 0.7 and one.own_queue_wait_s <= 5e-3
+        assert one.busy <= 0.7 and one.wait_s <= 5e-3
         assert one.cores >= one.requests_per_s * mean_s / 0.7
         assert one.daemons == -(-one.cores // 16)
         assert one.out_bits_per_s > 8 * one.requests_per_s * (0.95 * 500 + 0.05 * 800_000)
-    assert plans[0].shared_queue_wait_s <= plans[0].own_queue_wait_s
     assert plans[2].cores == pytest.approx(100 * plans[0].cores, rel=0.3)
     strict = plan.plan(mix, costs, 10_000, 10.0, 16, 1e-3)
     assert strict.cores > plans[1].cores

@@ -1,0 +1,112 @@
+/* Calls of the installed library that nothing else makes: surfaces, gathers that end early, and what
+ * is wrong with arguments. Prints what does not hold. argv[1]: the address of a daemon */
+#include <dipole.h>
+#include <math.h>
+#include <stdio.h>
+#include <string.h>
+
+enum { VALUES = 64, POINTS = 20000, QUERIES = 30000 };
+
+static int failures;
+#define CHECK(that) ((that) ? (void)0 : (void)(failures++, printf("%d: %s\n", __LINE__, #that)))
+
+static double xyz[POINTS][3], queries[QUERIES][3], whole[QUERIES], part[QUERIES];
+static float power[POINTS];
+
+static bool once(void *calls, uint64_t done, uint64_t count) {
+  ++*(int *)calls;
+  return done > count;
+}
+
+static void check_surface(dipole_client *client, unsigned transport) {
+  const dipole_table_query asked = {transport, DIPOLE_EXACT, {0, 0, .5, 1.4, 0}, .layer_count = 1};
+  double a[VALUES], s[VALUES], r[VALUES];
+  dipole_varying_query query = {.model = transport,
+                                .evaluator = DIPOLE_F64,
+                                .moments = DIPOLE_EXACT,
+                                .wanted = DIPOLE_R,
+                                .g = .5,
+                                .eta = 1.4,
+                                .sigma_a_per_mm = a,
+                                .sigma_s_per_mm = s,
+                                .radii = r,
+                                .value_count = VALUES};
+  dipole_varying_result *here, *there;
+  dipole_surface *fetched, *loaded;
+  dipole_error error;
+  size_t bytes;
+  for (int i = 0; i < VALUES; i++) {
+    a[i] = .01 * i, s[i] = 1 + .1 * i, r[i] = .05 * (i + 1);
+  }
+  CHECK(dipole_surface_fetch(client, &asked, &fetched, &error));
+  const void *frame = dipole_surface_bytes(fetched, &bytes);
+  CHECK(dipole_surface_load(frame, bytes, &loaded, &error));
+  CHECK(dipole_varying_at_home(loaded, &query, &here, &error));
+  CHECK(dipole_varying(client, &query, &there, &error));
+  CHECK(here->computed_count == VALUES && there->computed_count == VALUES);
+  CHECK(memcmp(dipole_varying_f64(here, DIPOLE_R), dipole_varying_f64(there, DIPOLE_R), sizeof a) ==
+        0);
+  query.eta = 1.3;
+  CHECK(!dipole_varying_at_home(loaded, &query, &here, &error) &&
+        strstr(error.text, "the surface is"));
+  query.colours = a;
+  CHECK(!dipole_varying(client, &query, &here, &error) && error.kind == DIPOLE_ERROR_ARGUMENT);
+  dipole_varying_result_free(there);
+  dipole_surface_free(fetched);
+  dipole_surface_free(loaded);
+}
+
+static void check_gather(dipole_client *client, unsigned transport) {
+  const dipole_medium medium = {.03, 1, 0, 1.3, 0};
+  dipole_gather_result all, some;
+  dipole_points *points = NULL;
+  dipole_error error;
+  int calls = 0;
+  size_t missing = 0, same = 0;
+  for (size_t i = 0; i < QUERIES; i++) { /* points on a spiral, and queries above it */
+    const double angle = .1 * (double)i, far = .001 * (double)(i % POINTS);
+    memcpy(queries[i], (double[]){far * cos(angle), far * sin(angle), .1}, sizeof queries[i]);
+    memcpy(xyz[i % POINTS], (double[]){far * sin(angle), far * cos(angle), 0}, sizeof xyz[0]);
+    power[i % POINTS] = 1;
+  }
+  CHECK(!dipole_points_make(0, 1, xyz[0], power, &points, &error) &&
+        strstr(error.text, "point_count"));
+  CHECK(!dipole_points_make(1, 9, xyz[0], power, &points, &error) && strstr(error.text, "1 to 8"));
+  CHECK(!dipole_points_make(1, 1, NULL, power, &points, &error) && points == NULL);
+  CHECK(dipole_points_make(POINTS, 1, xyz[0], power, &points, &error));
+  dipole_gather_query query = {.model = transport,
+                               .evaluator = DIPOLE_LUT,
+                               .moments = DIPOLE_EXACT,
+                               .points = points,
+                               .media = &medium,
+                               .queries_mm = queries[0],
+                               .query_count = QUERIES,
+                               .tolerance = .01};
+  CHECK(dipole_gather(client, &query, NULL, NULL, whole, &all, &error));
+  CHECK(all.computed_count == QUERIES && all.bound > 0 && all.bound <= .01);
+  CHECK(!(all.model_error[0] > 0 || all.model_error[0] < 0) && all.numerical_error[0] > 0);
+  CHECK(dipole_gather(client, &query, once, &calls, part, &some, &error));
+  for (size_t i = 0; i < QUERIES; i++) {
+    missing += isnan(part[i]);
+    same += memcmp(&part[i], &whole[i], sizeof part[i]) == 0;
+  }
+  CHECK(calls == 1 && missing > 0 && missing + same == QUERIES && same == some.computed_count);
+  query.tolerance = 0, query.deadline_ms = 1;
+  CHECK(!dipole_gather(client, &query, NULL, NULL, part, NULL, &error) &&
+        error.kind == DIPOLE_ERROR_REFUSED);
+  CHECK(strcmp(error.field, "deadline_ms") == 0);
+  query.media = NULL;
+  CHECK(!dipole_gather(client, &query, NULL, NULL, part, NULL, &error) &&
+        error.kind == DIPOLE_ERROR_ARGUMENT);
+  dipole_points_free(points);
+}
+
+int main(int argc, char **argv) {
+  dipole_client *client;
+  CHECK(argc == 2 && dipole_open(argv[1], &client, NULL));
+  const unsigned transport = dipole_id(client, DIPOLE_MODEL, "transport");
+  check_surface(client, transport);
+  check_gather(client, transport);
+  dipole_close(client);
+  return failures != 0;
+}
