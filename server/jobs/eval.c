@@ -409,20 +409,6 @@ static void start_channel(struct eval_job *eval) {
 }
 
 static void start_part(struct eval_job *eval) {
-  const wire_eval_request *fixed = &eval->request.fixed;
-  /* The notes follow in put_notes(), when all channels have been prepared. */
-  const wire_eval_reply start = {
-      .model = fixed->model,
-      .evaluator = fixed->evaluator,
-      .moments = fixed->moments,
-      .wanted = fixed->wanted,
-      .channel_count = fixed->medium_count,
-      .count = eval->parts.count,
-      .first = eval->parts.first,
-      .part = eval->parts.part,
-      .part_count = eval->parts.part_count,
-  };
-  wire_put_eval_reply(eval->reply, &start);
   if (eval->head != NULL) {
     size_t bytes;
     uint8_t *head = head_of(eval, &bytes);
@@ -431,7 +417,7 @@ static void start_part(struct eval_job *eval) {
   eval->notes = 0;
   eval->channel = 0;
   eval->index = 0;
-  eval->radii_done = eval->drawn || (fixed->wanted & CORE_QUANTITY_RADIUS) == 0;
+  eval->radii_done = eval->drawn || (eval->request.fixed.wanted & CORE_QUANTITY_RADIUS) == 0;
 }
 
 static void start_profiles(struct eval_job *eval) {
@@ -573,11 +559,21 @@ static void radii_step(struct eval_job *eval, size_t n) {
   }
 }
 
-/* Writes the notes of all channels into the start of the reply. */
-static void put_notes(const struct eval_job *eval) {
-  wire_eval_reply start;
-  wire_get_eval_reply(eval->reply, &start);
-  start.notes = eval->notes;
+/* Writes the start of the part, whose notes are known when all channels have been prepared. */
+static void put_start(const struct eval_job *eval) {
+  const wire_eval_request *fixed = &eval->request.fixed;
+  const wire_eval_reply start = {
+      .model = fixed->model,
+      .evaluator = fixed->evaluator,
+      .moments = fixed->moments,
+      .wanted = fixed->wanted,
+      .notes = eval->notes,
+      .channel_count = fixed->medium_count,
+      .count = eval->parts.count,
+      .first = eval->parts.first,
+      .part = eval->parts.part,
+      .part_count = eval->parts.part_count,
+  };
   wire_put_eval_reply(eval->reply, &start);
 }
 
@@ -606,7 +602,7 @@ static void channel_step(struct eval_job *eval, size_t n) {
     }
     eval->channel++;
     if (eval->channel == eval->request.fixed.medium_count) {
-      put_notes(eval);
+      put_start(eval);
       learn_request(eval);
     }
     profiles_return(&eval->lookup);
