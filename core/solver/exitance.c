@@ -5,7 +5,12 @@
  *   X = (far + (b1 ln(1 + q) + c1) / q + (b2 ln(1 + q) + c2) / q^2) / q^2,
  *
  * where `far` is known from light that is scattered twice close to the source, and b and c are
- * fitted. There the path turns upwards, where H0 decays. What is left at K, where both meet, goes
+ * fitted. If light is scattered back in a narrow peak, far / k^2 holds from far above K on, because what
+ * comes back nearly along the beam falls as powers of d = p / (p + k), p being `peak`; then
+ *
+ *   X = far / q^2 + c1 d^2 / q + c2 d / q^2 + c3 d^3 + c4 / q^3.
+ *
+ * There the path turns upwards, where H0 decays. What is left at K, where both meet, goes
  * on as k^-5 and k^-6: a step there would be a wave in r of the wavenumber K, which counts where R
  * is small. */
 #include "core/solver/exitance.h"
@@ -92,8 +97,16 @@ static double complex series_at(const exitance_grid *of, const exitance_series *
 }
 
 /* Sets terms[] to the factors of the tail's coefficients at k, and returns 1 / q^2. */
-static double complex tail_terms(double complex k, double complex *terms) {
+static double complex tail_terms(double peak, double complex k, double complex *terms) {
   const double complex q = fn_csqrt(1 + k * k), inverse = fn_inverse(q);
+  if (peak > 0) {
+    const double complex d = peak * fn_inverse(peak + k);
+    terms[0] = inverse * d * d;
+    terms[1] = inverse * inverse * d;
+    terms[2] = d * d * d;
+    terms[3] = inverse * inverse * inverse;
+    return inverse * inverse;
+  }
   terms[1] = inverse * inverse * inverse;
   terms[0] = fn_clog(1 + q) * terms[1];
   terms[2] = terms[0] * inverse;
@@ -145,7 +158,7 @@ static bool fit_tail(const exitance_grid *of, exitance_series *at, const double 
       continue;
     }
     double complex terms[TAIL_TERMS];
-    const double complex rest = values[i] - at->far * tail_terms(k, terms);
+    const double complex rest = values[i] - at->far * tail_terms(at->peak, k, terms);
     const double k2 = fn_norm2(k);
     double re[TAIL_TERMS], im[TAIL_TERMS];
     for (size_t j = 0; j < TAIL_TERMS; j++) {
@@ -165,7 +178,7 @@ static bool fit_tail(const exitance_grid *of, exitance_series *at, const double 
 /* Returns X at a wavenumber beyond K. */
 static double complex beyond(const exitance_series *at, double complex last, double complex k) {
   const double complex ratio = last * fn_inverse(k), ratio2 = ratio * ratio;
-  double complex terms[TAIL_TERMS], sum = at->far * tail_terms(k, terms);
+  double complex terms[TAIL_TERMS], sum = at->far * tail_terms(at->peak, k, terms);
   for (size_t i = 0; i < TAIL_TERMS; i++) {
     sum += at->tail[i] * terms[i];
   }
@@ -189,8 +202,8 @@ static void set_terms(exitance_series *to, const exitance_grid *of, const double
 }
 
 bool solver_exitance_make(exitance_series *to, const exitance_grid *of, bool has_tail, double far,
-                          const double complex *smooth, const double complex *values) {
-  *to = (exitance_series){.far = far};
+                          double peak, const double complex *smooth, const double complex *values) {
+  *to = (exitance_series){.far = far, .peak = peak};
   if (has_tail && !fit_tail(of, to, smooth)) {
     return false;
   }

@@ -15,9 +15,12 @@
  * For real k all of these are real. With the signs of its rows of odd orders changed, each matrix
  * is symmetric, by reciprocity.
  *
- * Orders above M are eliminated as if they were not scattered, with a rate alpha that all of them
- * share: their continued fraction adds the matrix of (sqrt(alpha^2 + k^2 (1 - mu^2)) - alpha) / 2
- * to the block m = M of E. */
+ * Light that is sent straight back adds -(-1)^m times its albedo to E in W - V, and as much with the
+ * other sign in W + V.
+ *
+ * Orders above M are eliminated as if they were not scattered, with rates alpha and beta that every
+ * second one shares: their continued fraction adds the matrix of (sqrt(alpha^2 + k^2 (1 - mu^2) alpha /
+ * beta) - alpha) / 2 to the block m = M of E. */
 #include "core/solver/expansion.h"
 
 #include <assert.h>
@@ -27,8 +30,10 @@
 #include "core/transport/gauss.h"
 #include "core/transport/single.h"
 
-/* Fresnel's transmittance is integrated over panels that halve towards the grazing angle. */
-enum { FRESNEL_PANELS = 14, FRESNEL_NODES = 16 };
+/* Fresnel's transmittance is integrated over panels that halve towards the grazing angle. Polynomials of
+ * more than FRESNEL_DEGREES degrees need more nodes, or totals are off by 0.04 where light is scattered
+ * back: on the widest panel as many as degrees. */
+enum { FRESNEL_PANELS = 14, FRESNEL_NODES = 16, FRESNEL_DEGREES = 36 };
 
 /* ---- functions of angle --------------------------------------------------------------------- */
 
@@ -216,7 +221,7 @@ static double next_edge(const expansion *of, double eta, double upper) {
  * and <psi mu psi> = 1. */
 static void integrate_boundary(expansion *to, size_t boundary, size_t part, double least) {
   gauss_rule rule;
-  transport_gauss(&rule, FRESNEL_NODES);
+  const size_t degrees = to->first[1] / to->panels;
   double values[EXPANSION_PANELS_MAX * EXPANSION_DEGREES_MAX];
   double *reflection = to->reflection[boundary];
   for (size_t i = 0; part == 0 && i < to->n; i++) {
@@ -225,6 +230,8 @@ static void integrate_boundary(expansion *to, size_t boundary, size_t part, doub
   double upper = 1;
   for (size_t panel = 0; panel < FRESNEL_PANELS && upper > least; panel++) {
     const double lower = panel + 1 < FRESNEL_PANELS ? fmax(upper / 2, least) : least;
+    const size_t nodes = degrees > FRESNEL_DEGREES ? degrees >> panel : 0;
+    transport_gauss(&rule, nodes > FRESNEL_NODES ? nodes : FRESNEL_NODES);
     while (upper > lower) {
       const double from = fmax(lower, next_edge(to, to->boundaries.etas[boundary], upper));
       for (size_t i = 0; i < rule.n; i++) {
@@ -254,7 +261,7 @@ static void integrate_boundary(expansion *to, size_t boundary, size_t part, doub
 static double *reserve(expansion *to) {
   const size_t n = to->n, parts = 1 + to->boundaries.cones, count = to->boundaries.count;
   const size_t squares = 4 + count, rows = 2 + to->nodes + count * parts;
-  double *next = calloc(squares * n * n + rows * n + 3 * to->nodes + count, sizeof *next);
+  double *next = calloc(squares * n * n + rows * n + 4 * to->nodes + count, sizeof *next);
   if (next == NULL) {
     return NULL;
   }
@@ -266,7 +273,8 @@ static double *reserve(expansion *to) {
     *(i < 2 ? &to->source[i] : &to->exit[(i - 2) / parts][(i - 2) % parts]) = next;
   }
   to->psi = next;
-  to->alpha = next += to->nodes * n;
+  to->alpha[0] = next += to->nodes * n;
+  to->alpha[1] = next += to->nodes;
   to->mu = next += to->nodes;
   to->weight = next += to->nodes;
   to->entering = next + to->nodes;
@@ -302,6 +310,7 @@ expansion *solver_expansion_new(const core_isa *isa, const expansion_rules *rule
   if (ok) {
     *made = (expansion){.isa = isa,
                         .albedo = medium->albedo,
+                        .reversed = medium->reversed,
                         .orders = rules->orders,
                         .nodes = panels * rule.n,
                         .panels = panels,
@@ -329,8 +338,11 @@ expansion *solver_expansion_new(const core_isa *isa, const expansion_rules *rule
     const double mu = panel_rule.x[node % rule.n];
     made->mu[node] = mu;
     made->weight[node] = panel_rule.weight[node % rule.n];
-    made->alpha[node] =
-        1 - (last < medium->moments ? medium->albedo * medium->moment[last] : 0) + 0.65 * mu;
+    for (size_t i = 0; i < 2; i++) {
+      const size_t l = medium->reversed > 0 ? last + i : last;
+      made->alpha[i][node] = 1 - (l < medium->moments ? medium->albedo * medium->moment[l] : 0) -
+                             sign_of(l) * medium->reversed + 0.65 * mu;
+    }
     for (size_t m = 0; m < last; m++) {
       solver_expansion_at(made, m, mu, sqrt((1 - mu) * (1 + mu)),
                           made->psi + node * made->n + made->first[m]);
@@ -339,9 +351,11 @@ expansion *solver_expansion_new(const core_isa *isa, const expansion_rules *rule
   for (size_t m = 0; ok && m <= rules->orders; m++) {
     integrate_order(made, medium, m, t);
   }
-  for (size_t i = 0; ok && i < made->n * made->n; i++) {
-    made->even[i] += made->unit[i];
-    made->odd[i] += made->unit[i];
+  for (size_t m = 0; ok && m <= rules->orders; m++) {
+    for (size_t i = made->first[m] * made->n; i < made->first[m + 1] * made->n; i++) {
+      made->even[i] += (1 - sign_of(m) * medium->reversed) * made->unit[i];
+      made->odd[i] += (1 + sign_of(m) * medium->reversed) * made->unit[i];
+    }
   }
   for (size_t i = 0; ok && i < boundaries->count; i++) {
     integrate_boundary(made, i, 0, 0);

@@ -3,7 +3,7 @@
  *
  * Lengths are in scaled mean free paths: the part of the phase function that a truncated series
  * cannot tell from unscattered light counts as unscattered (Joseph, Wiscombe, Weinman 1976,
- * delta-M). */
+ * delta-M), or as sent straight back. */
 #ifndef DIPOLED_CORE_SOLVER_EXPANSION_H
 #define DIPOLED_CORE_SOLVER_EXPANSION_H
 
@@ -25,6 +25,7 @@ typedef struct expansion_medium {
   double albedo;        /* albedo of single scattering, after the truncation */
   size_t moments;       /* 1 to EXPANSION_MOMENTS_MAX */
   const double *moment; /* [moments]; moment[0] = 1 */
+  double reversed; /* the albedo of light that is sent straight back, beside the albedo above */
 } expansion_medium;
 
 /* The functions: for each hemisphere and each m from 0 to `orders`, cos(m phi) sin^m(theta) times
@@ -61,7 +62,7 @@ typedef struct expansion_boundaries {
  * formulas of expansion.c. */
 typedef struct expansion {
   const core_isa *isa;
-  double albedo;
+  double albedo, reversed;
   size_t orders, n;
   /* first[m]: index of the first function of order m; then n */
   size_t first[EXPANSION_ORDERS_MAX + 2];
@@ -72,9 +73,10 @@ typedef struct expansion {
   double *even, *odd;                    /* E - a (P++ + P+-) and E - a (P++ - P+-), for k = 0 */
   double *slant;                         /* C: the matrix whose product with k is added to E */
   double *source[2];                     /* b+ and b-, which exist for m = 0 only */
-  /* for the orders above M: [nodes] alpha, cosines and weights, [nodes][n] the functions */
+  /* for the orders above M: [nodes] alpha of orders M + 1 and M + 2 with `even`, and the other way round
+   * with `odd`; cosines and weights, [nodes][n] the functions */
   size_t nodes;
-  double *alpha, *mu, *weight, *psi;
+  double *alpha[2], *mu, *weight, *psi;
   expansion_boundaries boundaries;
   /* <psi mu F psi> with Fresnel's reflectance F(mu); rows of odd orders have the formulas' sign */
   double *reflection[EXPANSION_ETAS_MAX];

@@ -12,8 +12,8 @@
  * A half space has v = G u with G Xp G = Xm: G is the geometric mean of Xm and Xp^-1, which is the
  * limit of the same means (Newton's iteration for a square root),
  * where A and B may be scaled by any number and its reciprocal first. With Fresnel's reflectance F at the
- * boundary, and g the beam's column of G, the light on its way up is I- = -(1 - F + G (1 + F))^-1 g,
- * and <mu T psi>.I- leaves. Diffuse light has the radiance T(mu) / <mu T> behind the boundary: (1 -
+ * boundary, and g the beam's column of G, the light on its way up is I- = -(1 - F + G (1 + F))^-1 g
+ * times u of the beam, and <mu T psi>.I- leaves. Diffuse light has the radiance T(mu) / <mu T> behind the boundary: (1 -
  * G) <mu T psi> / <mu T> in place of -g. R = 2 (1 + G)^-1 - 1, r = -(1 + G)^-1 g.
  *
  * All matrices have the signs of expansion.h and are symmetric; S there has these signs on its
@@ -25,6 +25,7 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "core/solver/level.h"
 #include "core/transport/functions.h"
 
 enum { ALIGNMENT_BYTES = 64, SPARE = LAYER_SPARE + 1 };
@@ -34,7 +35,8 @@ struct work {
   const expansion *of;
   double complex k;
   dense spare[SPARE], alike, opposite;
-  double complex *closing; /* the contribution of orders above M to the block of order M */
+  /* what orders above M contribute to the block of order M of `even` and of `odd` */
+  double complex *closing[2];
 };
 
 /* Adds factor * S, the diagonal matrix of signs. */
@@ -67,34 +69,36 @@ static double largest(const dense *of) {
   return most;
 }
 
-static void close_orders(const struct work *by) {
+static void close_orders(const struct work *by, size_t odd) {
   const expansion *of = by->of;
   const size_t at = of->first[of->orders], n = of->n - at;
-  memset(by->closing, 0, n * n * sizeof *by->closing);
+  double complex *closing = by->closing[odd];
+  memset(closing, 0, n * n * sizeof *closing);
   for (size_t node = 0; node < of->nodes && by->k != 0; node++) {
-    const double mu = of->mu[node], alpha = of->alpha[node];
-    const double complex streaming =
-        fn_csqrt(alpha * alpha + by->k * by->k * ((1 - mu) * (1 + mu)));
+    const double mu = of->mu[node], alpha = of->alpha[1 - odd][node];
+    const double complex streaming = fn_csqrt(
+        alpha * alpha + by->k * by->k * ((1 - mu) * (1 + mu)) * (alpha / of->alpha[odd][node]));
     const double complex left =
         of->weight[node] * (of->orders % 2 == 0 ? 0.5 : -0.5) * (streaming - alpha);
     const double *psi = of->psi + node * of->n + at;
     for (size_t i = 0; i < n; i++) {
       for (size_t j = 0; j < n; j++) {
-        by->closing[i * n + j] += left * (psi[i] * psi[j]);
+        closing[i * n + j] += left * (psi[i] * psi[j]);
       }
     }
   }
 }
 
 /* Sets to = S + beta (base + k C + closure). */
-static void fill_matrix(const struct work *by, const dense *to, const double *base, double beta) {
+static void fill_matrix(const struct work *by, const dense *to, const double *base, size_t odd,
+                        double beta) {
   const expansion *of = by->of;
   const size_t n = of->n, last = of->first[of->orders];
   for (size_t i = 0; i < n; i++) {
     for (size_t j = 0; j < n; j++) {
       double complex value = base[i * n + j] + by->k * of->slant[i * n + j];
       if (i >= last && j >= last) {
-        value += by->closing[(i - last) * (n - last) + j - last];
+        value += by->closing[odd][(i - last) * (n - last) + j - last];
       }
       solver_dense_put(to, i, j, beta * value);
     }
@@ -112,13 +116,13 @@ static void fill_relation(const struct work *by, layer_relation *to, const doubl
   const expansion *of = by->of;
   struct work mirrored = *by;
   mirrored.k *= sign;
-  fill_matrix(&mirrored, &to->all, base, step);
+  fill_matrix(&mirrored, &to->all, base, sign < 0, step);
   add_signs(of, &to->all, -1);
   for (size_t i = 0; i < of->n; i++) {
     const double source = of->source[0][i] + sign * of->source[1][i];
     solver_dense_put(&to->all, i, of->n, -step * of->albedo * source);
   }
-  to->beam = step;
+  to->beam = step * (base == of->unit ? 1 : 1 - sign * of->reversed);
 }
 
 /* Adds to column n of `to` the one of `from`, times `factor`. */
@@ -277,7 +281,7 @@ static bool find_halfspace(const struct work *by, layer_relation *to, double kap
 static bool scatter_once(const struct work *by, const dense *to) {
   const expansion *of = by->of;
   const dense *a = &by->spare[0];
-  fill_matrix(by, a, of->unit, 1);
+  fill_matrix(by, a, of->unit, 0, 1);
   solver_dense_clear(to);
   for (size_t i = 0; i < of->n; i++) {
     solver_dense_put(to, i, 0, of->albedo * of->source[1][i]);
@@ -326,7 +330,7 @@ static bool reserve(struct memory *to, const expansion *of, double complex k) {
   const bool is_complex = cimag(k) != 0;
   const size_t n = of->n, last = n - of->first[of->orders];
   const size_t bytes = sizeof(double) * (MATRICES * 2 * solver_dense_size(n + 1, n + 1) +
-                                         4 * solver_dense_size(n, 2) + 2 * last * last);
+                                         4 * solver_dense_size(n, 2) + 4 * last * last);
   to->all = aligned_alloc(ALIGNMENT_BYTES,
                           (bytes + ALIGNMENT_BYTES - 1) / ALIGNMENT_BYTES * ALIGNMENT_BYTES);
   if (to->all == NULL) {
@@ -340,13 +344,15 @@ static bool reserve(struct memory *to, const expansion *of, double complex k) {
     matrix[i].rows = n;
   }
   to->work = (struct work){of,        k,         {matrix[0], matrix[1], matrix[2], matrix[3]},
-                           matrix[4], matrix[5], NULL};
+                           matrix[4], matrix[5], {NULL, NULL}};
   to->work.spare[0].columns = n;
   to->half = matrix[6];
   to->once = solver_dense_at(of->isa, &next, n, 2, is_complex);
   to->lit = solver_dense_at(of->isa, &next, n, 2, is_complex);
-  to->work.closing = (double complex *)next;
-  close_orders(&to->work);
+  for (size_t odd = 0; odd < 2; odd++, next += 2 * last * last) {
+    to->work.closing[odd] = (double complex *)next;
+    close_orders(&to->work, odd);
+  }
   return true;
 }
 
@@ -360,15 +366,17 @@ bool solver_layer_halfspace(const expansion *of, double complex k, double kappa,
   const dense *once = &memory.once, *lit = &memory.lit;
   layer_relation half = {memory.half, 0};
   bool ok = find_halfspace(by, &half, kappa) && scatter_once(by, once);
+  const double back = (1 - half.beam) / (1 + half.beam);
   for (size_t i = 0; i < of->boundaries.count && ok; i++) {
     ok = solver_layer_light_up(by->spare, of, lit, &half, i);
-    exitance[i] = (layer_exitance){0};
+    const double r0 = solver_beam_reflectance(of->boundaries.etas[i], 1);
+    const double down = 1 / (1 - r0 * back), u = (1 + back) * down;
+    exitance[i] = (layer_exitance){.beam = (1 - r0) * (back * down - 0.5 * of->reversed)};
     for (size_t row = 0; row < of->first[1] && ok; row++) {
-      exitance[i].single += of->exit[i][0][row] * solver_dense_get(once, row, 0);
       exitance[i].diffuse += of->exit[i][0][row] * solver_dense_get(lit, row, 1);
       for (size_t part = 0; part <= of->boundaries.cones; part++) {
-        exitance[i].part[part] += of->exit[i][part][row] *
-                                  (solver_dense_get(lit, row, 0) - solver_dense_get(once, row, 0));
+        exitance[i].part[part] += of->exit[i][part][row] * (u * solver_dense_get(lit, row, 0) -
+                                                            solver_dense_get(once, row, 0));
       }
     }
   }

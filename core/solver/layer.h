@@ -10,9 +10,10 @@
 
 /* The exitance at one wavenumber, per power that has entered, for one boundary. */
 typedef struct layer_exitance {
-  double complex single; /* light of all angles that was scattered once */
-  /* [0]: all light that leaves; [1 + i]: light within cone i; both without light scattered once */
+  /* [0]: all light that leaves; [1 + i]: light within cone i; both without light scattered once and
+   * without `beam`: light that was sent straight back, more than once */
   double complex part[1 + EXPANSION_CONES_MAX];
+  double beam;
   double complex
       diffuse; /* like part[0] for diffuse incident light: the same radiance from all directions */
 } layer_exitance;

@@ -84,7 +84,7 @@ enum { GRIDS_MOST = 4 };
 
 /* One grid. */
 struct grid {
-  size_t moments;
+  bool backward; /* whether a layer scatters back (solver_is_backward()) */
   double moment[SOLVER_LAYERS_MAX][EXPANSION_MOMENTS_MAX];
   stack_layer layer[SOLVER_LAYERS_MAX];
   ways ways;
@@ -111,28 +111,32 @@ struct solver_layers {
 /* ---- the medium ---------------------------------------------------------------------------- */
 
 static void truncate_layers(struct grid *to, const struct solver_layers *of, double moment_least,
-                            size_t moments_most) {
+                            size_t moments_most, size_t degrees) {
   solver_phase phase = {.g = 0};
   for (size_t i = 0; i < of->count; i++) {
     phase.g = fmax(phase.g, fabs(of->layer[i].g));
   }
-  to->moments = solver_moments_kept(&phase, moment_least, moments_most);
+  const size_t moments = solver_moments_kept(&phase, moment_least, moments_most, degrees);
   for (size_t i = 0; i < of->count; i++) {
     const solver_layer *layer = &of->layer[i];
     const double sigma_t = layer->sigma_a_per_mm + layer->sigma_s_per_mm;
     stack_layer *here = &to->layer[i];
     phase.g = layer->g;
-    const double scaled = sigma_t * solver_truncate(&here->medium, to->moment[i], &phase,
-                                                    to->moments, layer->sigma_s_per_mm / sigma_t);
+    const bool backward = solver_is_backward(&phase);
+    const size_t kept =
+        backward ? solver_moments_kept(&phase, moment_least, moments_most, degrees) : moments;
+    to->backward |= backward;
+    const double scaled = sigma_t * solver_truncate(&here->medium, to->moment[i], &phase, kept,
+                                                    layer->sigma_s_per_mm / sigma_t);
     to->unit_mm = i == 0 ? 1 / scaled : to->unit_mm;
     here->extinction = scaled * to->unit_mm;
     here->sigma_s = layer->sigma_s_per_mm * to->unit_mm;
     here->g = layer->g;
     here->thickness = layer->thickness_mm / to->unit_mm;
     here->index = layer->eta;
-    here->kappa =
-        here->extinction * transport_decay_rate(to->moment[i], to->moments, here->medium.albedo,
-                                                layer->sigma_a_per_mm / scaled);
+    here->kappa = here->extinction * transport_decay_rate(to->moment[i], kept, here->medium.albedo,
+                                                          here->medium.reversed,
+                                                          layer->sigma_a_per_mm / scaled);
   }
   solver_ways_find(&to->ways, to->layer, of->count, of->eta_below);
 }
@@ -271,7 +275,7 @@ static bool place_wavenumbers(struct grid *to, const struct solver_layers *of, c
       first < THIN || depth < THIN_ALL ? THIN * (1 + round * round * (1 / fmin(1, first) - 1)) : 1;
   double last = fmax(4, fmin(resolved, thin * most)), last_above = last;
   to->layered_most = last;
-  to->like = find_like(to, of);
+  to->like = to->backward ? of->count : find_like(to, of);
   if (to->like < of->count) {
     const double s = to->layer[to->like].extinction;
     last_above = most * s;
@@ -404,7 +408,11 @@ static bool solve_tier(const struct grid *of, const struct solver_layers *all, c
     fine_by++;
   }
   const expansion_boundaries boundary = {.count = 1, .etas = &of->layer[0].index};
-  expansion_rules rules = by->tier[tier].rules;
+  expansion_rules rules = by->tier[tier].rules, fine_rules = fine_by->tier[tier].rules;
+  if (of->backward) {
+    rules.degrees = by->tier[TIERS - 1].rules.degrees;
+    fine_rules.degrees = fine_by->tier[TIERS - 1].rules.degrees;
+  }
   rules.degrees += all->sides > 1 && by >= &levels[MORE_FROM] ? MORE_DEGREES : 0;
   stack *expanded = NULL;
   expansion *fine = NULL;
@@ -433,9 +441,9 @@ static bool solve_tier(const struct grid *of, const struct solver_layers *all, c
     }
     if (ok && is_alike(of, all, node, 0) &&
         node < solver_exitance_end(&of->wavenumbers[0], TIERS - 1)) {
-      fine = fine != NULL ? fine
-                          : solver_expansion_new(isa, &fine_by->tier[tier].rules,
-                                                 &of->layer[of->like].medium, &boundary);
+      fine = fine != NULL
+                 ? fine
+                 : solver_expansion_new(isa, &fine_rules, &of->layer[of->like].medium, &boundary);
       ok = fine != NULL && make_like(of, expanded, fine, k, layered, &like[node], &values[node]);
       if (!layered) {
         values[node] += leave_like(values[edge - 1] - like[edge - 1],
@@ -450,7 +458,7 @@ static bool solve_tier(const struct grid *of, const struct solver_layers *all, c
 
 static bool solve_grid(struct grid *to, const struct solver_layers *of, const core_isa *isa,
                        const struct level *by, const atomic_bool *stop) {
-  truncate_layers(to, of, by->moment_least, by->moments_most);
+  truncate_layers(to, of, by->moment_least, by->moments_most, by->tier[TIERS - 1].rules.degrees);
   if (!place_wavenumbers(to, of, isa, by)) {
     return false;
   }
@@ -478,6 +486,7 @@ static bool solve_grid(struct grid *to, const struct solver_layers *of, const co
     const bool cut = !above && cut_noise(grid, &all, thickness, values + nodes);
     const double complex *all_values = values + side * nodes;
     ok = solver_exitance_make(&to->exitance[side], grid, !cut, cut ? 0 : far,
+                              solver_peak_at(&phase) * to->layer[i].extinction,
                               alike && i == 0 ? values + SIDES * nodes : all_values, all_values);
   }
   free(values);
@@ -565,10 +574,11 @@ static void find_errors(solver_layers *of, double worst[SIDES]) {
   for (size_t i = 0; i < of->count; i++) {
     const stack_layer *layer = &fine->layer[i];
     const solver_phase phase = {.g = layer->g};
-    margin = layer->extinction * layer->thickness < CUT_DEPTH
-                 ? margin
-                 : fmax(margin, MARGIN * solver_shared_by_cuts(&phase, fine->moments,
-                                                               of->grid[1]->moments));
+    margin =
+        layer->extinction * layer->thickness < CUT_DEPTH
+            ? margin
+            : fmax(margin, MARGIN * solver_shared_by_cuts(&phase, layer->medium.moments,
+                                                          of->grid[1]->layer[i].medium.moments));
   }
   of->last = 0;
   for (size_t side = 0; side < of->sides; side++) {
@@ -760,7 +770,7 @@ static bool find_balance(const solver_layers *of, const core_isa *isa, size_t de
   stack_exitance at;
   bool ok = grid != NULL;
   if (ok) {
-    truncate_layers(grid, of, 0, moments);
+    truncate_layers(grid, of, 0, moments, degrees);
     stack_layer *last = &grid->layer[of->count - 1];
     if (isinf(last->thickness) && last->medium.albedo > 1 - ABSORBED_LEAST) {
       last->medium.albedo = 1 - ABSORBED_LEAST;

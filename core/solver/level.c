@@ -105,7 +105,26 @@ double solver_phase_at(const solver_phase *phase, double cosine) {
   return sum;
 }
 
-size_t solver_moments_kept(const solver_phase *phase, double least, size_t most) {
+/* Where light is scattered back: the moments for each degree of the functions of angle, how many times
+ * as large as elsewhere the least one of them is, and exitance_series.peak times 1 - |g|. */
+#define BACKWARD (-0.6)
+#define MOMENTS_BACKWARD 1.5
+#define LEAST_BACKWARD 100
+#define PEAK_BACKWARD 1.6
+
+bool solver_is_backward(const solver_phase *phase) {
+  return solver_moment_at(phase, 1) < BACKWARD;
+}
+
+double solver_peak_at(const solver_phase *phase) {
+  return solver_is_backward(phase) ? PEAK_BACKWARD / (1 + solver_moment_at(phase, 1)) : 0;
+}
+
+size_t solver_moments_kept(const solver_phase *phase, double least, size_t most, size_t degrees) {
+  if (solver_is_backward(phase)) {
+    most = (size_t)(MOMENTS_BACKWARD * (double)degrees);
+    least *= LEAST_BACKWARD;
+  }
   while (most > 2 && fabs(solver_moment_at(phase, most - 1)) <= least) {
     most--;
   }
@@ -114,13 +133,15 @@ size_t solver_moments_kept(const solver_phase *phase, double least, size_t most)
 
 double solver_truncate(expansion_medium *to, double *moment, const solver_phase *phase,
                        size_t count, double albedo) {
-  /* An odd moment of a backward phase function is negative: then nothing is truncated. */
-  const double forward = fmax(0, solver_moment_at(phase, count));
+  /* Where moments change their signs, their peak is at the back. */
+  const double first = solver_moment_at(phase, count), next = solver_moment_at(phase, count + 1);
+  const double back = first * next < 0 ? fabs(first) : 0, forward = back > 0 ? 0 : fmax(0, first);
+  const double smooth = 1 - forward - back, kept = 1 - albedo * forward;
   for (size_t l = 0; l < count; l++) {
-    moment[l] = (solver_moment_at(phase, l) - forward) / (1 - forward);
+    const double peak = forward + (l % 2 == 0 ? back : -back);
+    moment[l] = (solver_moment_at(phase, l) - peak) / smooth;
   }
-  const double kept = 1 - albedo * forward;
-  *to = (expansion_medium){albedo * (1 - forward) / kept, count, moment};
+  *to = (expansion_medium){albedo * smooth / kept, count, moment, albedo * back};
   return kept;
 }
 

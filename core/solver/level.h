@@ -67,9 +67,16 @@ bool solver_goes_on(size_t level, double worst, double before, double tolerance)
 /* Returns whether *stop is true; stop may be NULL. */
 bool solver_stops(const atomic_bool *stop);
 
-/* Returns how many moments of a phase function are kept: at most `most`, without the last ones of
- * size up to `least`, but 2 or more. */
-size_t solver_moments_kept(const solver_phase *phase, double least, size_t most);
+/* Returns whether so much light is scattered back that each tier needs as many degrees as the last. */
+bool solver_is_backward(const solver_phase *phase);
+
+/* Returns exitance_series.peak, per scaled mean free path: 0 if that is not so. */
+double solver_peak_at(const solver_phase *phase);
+
+/* Returns how many moments of a phase function are kept: at most `most`, or where light is scattered
+ * back what functions of so many degrees resolve, without the last ones of size up to about `least`,
+ * but 2 or more. */
+size_t solver_moments_kept(const solver_phase *phase, double least, size_t most, size_t degrees);
 
 /* Truncates a phase function to `count` moments (delta-M): sets moment[count], and *to for a medium
  * with this albedo. Returns scaled extinction / sigma_t. */

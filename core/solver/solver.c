@@ -37,17 +37,17 @@ struct scaled {
 #define KAPPA_LEAST 1e-9
 
 static void truncate_phase(struct scaled *to, double ratio, const solver_phase *phase,
-                           double moment_least, size_t moments_most) {
+                           double moment_least, size_t moments_most, size_t degrees) {
   const double g = solver_moment_at(phase, 1);
   /* In reduced mean free paths sigma_a + sigma_s (1 - g) is 1. */
   const double sigma_s = 1 / (1 + ratio) / (1 - g), sigma_t = ratio / (1 + ratio) + sigma_s;
   const double albedo = sigma_s / sigma_t;
-  const size_t count = solver_moments_kept(phase, moment_least, moments_most);
+  const size_t count = solver_moments_kept(phase, moment_least, moments_most, degrees);
   const double kept = solver_truncate(&to->medium, to->moment, phase, count, albedo);
   to->unit = 1 / (kept * sigma_t);
   to->single = albedo / kept;
   to->kappa = transport_decay_rate(to->medium.moment, to->medium.moments, to->medium.albedo,
-                                   ratio / (1 + ratio) * to->unit);
+                                   to->medium.reversed, ratio / (1 + ratio) * to->unit);
   to->kappa = to->kappa < KAPPA_LEAST ? 0 : to->kappa;
 }
 
@@ -84,6 +84,7 @@ struct solver_solution {
   single_rule *single;                 /* [part], with the phase function in its weights */
   struct grid grid[2];                 /* [0]: the finest grid; [1]: the next coarser one */
   const double *floor;                 /* least relative errors: next to the source, and far away */
+  double least;                        /* factor of these errors */
   double margin;                       /* relative error / difference of the grids */
   double (*error)[SOLVER_ERROR_RADII]; /* [boundary] relative error at each radius */
 };
@@ -99,10 +100,13 @@ struct way {
 /* Solves the wavenumbers that belong to one tier. values: [part][node of all panels]. Returns
  * false if memory runs out, an equation is singular or the caller stops. */
 static bool solve_tier(struct grid *of, const core_isa *isa, const struct level *by, size_t tier,
-                       const expansion_boundaries *boundaries, double complex **values,
-                       const struct way *way) {
-  expansion *expanded =
-      solver_expansion_new(isa, &by->tier[tier].rules, &of->scaled.medium, boundaries);
+                       const solver_phase *phase, const expansion_boundaries *boundaries,
+                       double complex **values, const struct way *way) {
+  expansion_rules rules = by->tier[tier].rules;
+  if (solver_is_backward(phase)) {
+    rules.degrees = by->tier[TIERS - 1].rules.degrees;
+  }
+  expansion *expanded = solver_expansion_new(isa, &rules, &of->scaled.medium, boundaries);
   bool ok = expanded != NULL;
   const size_t end = solver_exitance_end(&of->wavenumbers, tier);
   for (size_t node = tier > 0 ? solver_exitance_end(&of->wavenumbers, tier - 1) : 0;
@@ -127,7 +131,8 @@ static bool solve_grid(struct grid *to, const core_isa *isa, const struct level 
   for (size_t tier = 0; tier < TIERS; tier++) {
     tier_end[tier] = by->tier[tier].k_most;
   }
-  truncate_phase(&to->scaled, ratio, phase, by->moment_least, by->moments_most);
+  truncate_phase(&to->scaled, ratio, phase, by->moment_least, by->moments_most,
+                 by->tier[TIERS - 1].rules.degrees);
   solver_exitance_place(&to->wavenumbers, isa, to->scaled.kappa, by->share, 1, by->nodes, tier_end);
   to->exitance = calloc(parts, sizeof *to->exitance);
   double complex *values[PARTS_MAX];
@@ -139,14 +144,14 @@ static bool solve_grid(struct grid *to, const core_isa *isa, const struct level 
                                           : way->exitances + part * SOLVER_WAVENUMBERS_MAX;
   }
   for (size_t tier = 0; tier < TIERS && ok && !way->known; tier++) {
-    ok = solve_tier(to, isa, by, tier, boundaries, values, way);
+    ok = solve_tier(to, isa, by, tier, phase, boundaries, values, way);
   }
   for (size_t part = 0; part < parts && ok; part++) {
     const double far =
         solver_far(to->scaled.single, phase, boundaries->etas[part % boundaries->count],
                    sine_of(boundaries, part), false);
-    ok = solver_exitance_make(&to->exitance[part], &to->wavenumbers, true, far, values[part],
-                              values[part]);
+    ok = solver_exitance_make(&to->exitance[part], &to->wavenumbers, true, far,
+                              solver_peak_at(phase), values[part], values[part]);
   }
   free(memory);
   return ok;
@@ -207,10 +212,12 @@ static double value_at(const solver_solution *of, const struct grid *grid, size_
 #define MARGIN 1.6
 #define MARGIN_BACKWARD 4.0
 #define BACKWARD (-0.3)
+#define FLOOR_BACKWARD 2.0
 
 /* Sets the errors from the difference of the two grids. Returns the largest at radii for which a
  * tolerance holds. */
 static double find_errors(solver_solution *of, const solver_phase *phase) {
+  of->least = solver_is_backward(phase) ? FLOOR_BACKWARD : 1;
   of->margin = (solver_moment_at(phase, 1) < BACKWARD ? MARGIN_BACKWARD : MARGIN) *
                solver_shared_by_cuts(phase, of->grid[0].scaled.medium.moments,
                                      of->grid[1].scaled.medium.moments);
@@ -266,7 +273,7 @@ static core_fault solve(solver_solution **solution, const core_isa *isa, double 
     made->level = level;
     if (ok && level > first) {
       before = worst;
-      worst = fmax(find_errors(made, phase), made->floor[1]);
+      worst = fmax(find_errors(made, phase), made->least * made->floor[1]);
     }
   }
   if (!ok) {
@@ -384,8 +391,9 @@ transport_number solver_at(const solver_solution *solution, size_t eta, double r
     return (transport_number){0, (double)INFINITY};
   }
   const double unit = solution->grid[0].scaled.unit;
-  const double error = fmax(solver_floor_at(solution->floor, unit, solution->eta[eta], r),
-                            solver_error_near(solution->error[eta], r, SOLVER_ERROR_RADII));
+  const double error =
+      fmax(solution->least * solver_floor_at(solution->floor, unit, solution->eta[eta], r),
+           solver_error_near(solution->error[eta], r, SOLVER_ERROR_RADII));
   if (value > 0 && error < 1) {
     return (transport_number){value, error * value};
   }
@@ -411,11 +419,8 @@ transport_number solver_share_at(const solver_solution *solution, size_t eta, si
 
 /* ---- totals --------------------------------------------------------------------------------- */
 
-/* Below this mean cosine, more than some 40 functions of angle in a hemisphere make totals worse, and
- * alike: beside walks 72 and 56 were off by up to 13 times their difference, by 0.04 at g = -0.95. Fewer
- * ones are off by up to 2.9 times theirs, for eta = 3.9. */
-#define TOTALS_BACKWARD (-0.6)
-#define TOTALS_MARGIN 2.0 /* what a profile states is twice as large */
+/* Where light is scattered back, two grids are off alike: stated errors over their difference. */
+#define TOTALS_MARGIN 2.0
 
 /* Moments below this are neglected for light scattered once. */
 #define MOMENT_LEAST 1e-13
@@ -442,17 +447,19 @@ static size_t find_moments(const solver_phase *phase, double moment[SOLVER_MOMEN
 }
 
 /* Solves at k = 0. Of diffuse light, that which was scattered once is taken off: what leaves if
- * the albedo is SMALL times as large, less what leaves if it is -SMALL times, over 2 SMALL. */
+ * the albedo is SMALL times as large, less what leaves if it is -SMALL times, over 2 SMALL; but not where
+ * light is scattered back, for which it has no quadrature. */
 #define SMALL 1e-4
 static bool solve_total(const core_isa *isa, const expansion_rules *rules,
                         const struct scaled *scaled, const expansion_boundaries *boundaries,
-                        layer_exitance *exitance) {
+                        bool backward, layer_exitance *exitance) {
   static const double albedo[] = {1, SMALL, -SMALL}, weight[] = {0, -0.5 / SMALL, 0.5 / SMALL};
   bool ok = true;
-  for (size_t i = 0; i < 3 && ok; i++) {
+  for (size_t i = 0; i < (backward ? 1 : 3) && ok; i++) {
     layer_exitance at[SOLVER_ETAS_MAX];
     expansion_medium medium = scaled->medium;
     medium.albedo *= albedo[i];
+    medium.reversed *= albedo[i];
     expansion *expanded = solver_expansion_new(isa, rules, &medium, boundaries);
     ok = expanded != NULL && solver_layer_halfspace(expanded, 0, i == 0 ? scaled->kappa : 1, at);
     for (size_t eta = 0; eta < boundaries->count && ok; eta++) {
@@ -474,8 +481,7 @@ core_fault solver_totals(solver_total *totals, const core_isa *isa, double sigma
     expansion_rules rules;
     double moment_least;
     size_t moments_most;
-  } grids[2][2] = {{{{0, 72, 3}, 1e-8, 250}, {{0, 56, 3}, 1e-7, 220}},
-                   {{{0, 38, 3}, 1e-8, 250}, {{0, 34, 3}, 1e-7, 220}}};
+  } grids[2] = {{{0, 72, 3}, 1e-8, 250}, {{0, 56, 3}, 1e-7, 220}};
   if (sigma_a_ratio == 0) {
     for (size_t eta = 0; eta < count; eta++) {
       totals[eta] = (solver_total){{1, 0}, {1, 0}};
@@ -485,12 +491,13 @@ core_fault solver_totals(solver_total *totals, const core_isa *isa, double sigma
   double moment[SOLVER_MOMENTS_MAX];
   const size_t moments = find_moments(phase, moment);
   const expansion_boundaries boundaries = {.count = count, .etas = etas};
-  const size_t backward = solver_moment_at(phase, 1) < TOTALS_BACKWARD;
+  const bool backward = solver_is_backward(phase);
   const double margin = backward ? TOTALS_MARGIN : 1;
   for (size_t i = 0; i < 2; i++) {
     struct scaled scaled;
-    truncate_phase(&scaled, sigma_a_ratio, phase, grids[backward][i].moment_least,
-                   grids[backward][i].moments_most);
+    const expansion_rules *rules = &grids[i].rules;
+    truncate_phase(&scaled, sigma_a_ratio, phase, grids[i].moment_least, grids[i].moments_most,
+                   rules->degrees);
     if (scaled.kappa == 0) { /* Nothing is absorbed: the absorbed share is proportional to kappa. */
       for (size_t eta = 0; eta < count; eta++) {
         totals[eta] = (solver_total){{1, 100 * KAPPA_LEAST}, {1, 100 * KAPPA_LEAST}};
@@ -498,16 +505,16 @@ core_fault solver_totals(solver_total *totals, const core_isa *isa, double sigma
       return no_fault;
     }
     layer_exitance exitance[SOLVER_ETAS_MAX];
-    if (!solve_total(isa, &grids[backward][i].rules, &scaled, &boundaries, exitance)) {
+    if (!solve_total(isa, rules, &scaled, &boundaries, backward, exitance)) {
       return memory_fault;
     }
     for (size_t eta = 0; eta < count; eta++) {
       single_rule rule;
-      const double once = transport_single_diffuse(etas[eta], moments, moment);
+      const double once = backward ? 0 : transport_single_diffuse(etas[eta], moments, moment);
       transport_single_rule(&rule, etas[eta], 1, SINGLE_STEP);
       weigh_single(&rule, phase);
       enter(&totals[eta].normal, i,
-            creal(exitance[eta].part[0]) +
+            creal(exitance[eta].part[0]) + exitance[eta].beam +
                 scaled.single * transport_single_at(&rule, INFINITY).within,
             margin);
       enter(&totals[eta].diffuse, i, creal(exitance[eta].diffuse) + scaled.single * once, margin);

@@ -53,8 +53,8 @@ struct pivot {
 };
 
 /* Returns p_0. Where a g_l is small the fraction converges by (u - sqrt(u^2 - 1))^2 at each l. */
-static struct pivot pivot_at(const double *moment, size_t moments, double albedo, double absorbed,
-                             double u) {
+static struct pivot pivot_at(const double *moment, size_t moments, double albedo, double reversed,
+                             double absorbed, double u) {
   size_t l = 0;
   while (l < moments && albedo * moment[l] > 0.1) {
     l++;
@@ -64,8 +64,8 @@ static struct pivot pivot_at(const double *moment, size_t moments, double albedo
   l = converges * (double)(TERMS - l) > 40 ? l + (size_t)(40 / converges) : TERMS;
   struct pivot pivot = {(double)(2 * l - 1) * u, (double)(2 * l - 1), true};
   for (l--; l-- > 0;) {
-    const double g = l < moments ? moment[l] : 0;
-    const double h = l > 0 ? (double)(2 * l + 1) * (1 - albedo * g) : absorbed;
+    const double g = l < moments ? moment[l] : 0, back = l % 2 == 0 ? reversed : -reversed;
+    const double h = l > 0 ? (double)(2 * l + 1) * (1 - albedo * g - back) : absorbed;
     const double ratio = (double)(l + 1) / pivot.value;
     pivot.good &= pivot.value > 0;
     pivot.slope = h + ratio * ratio * pivot.slope;
@@ -74,15 +74,16 @@ static struct pivot pivot_at(const double *moment, size_t moments, double albedo
   return pivot;
 }
 
-double transport_decay_rate(const double *moment, size_t moments, double albedo, double absorbed) {
+double transport_decay_rate(const double *moment, size_t moments, double albedo, double reversed,
+                            double absorbed) {
   enum { STEPS = 100 };
-  const double first = 3 * (1 - albedo * (moments > 1 ? moment[1] : 0));
+  const double first = 3 * (1 - albedo * (moments > 1 ? moment[1] : 0) + reversed);
   if (!(absorbed > 0)) {
     return 0;
   }
   double low = 0, high = (double)INFINITY, u = sqrt(1 / (absorbed * first) + 0.5);
   for (int step = 0; step < STEPS; step++) {
-    const struct pivot pivot = pivot_at(moment, moments, albedo, absorbed, u);
+    const struct pivot pivot = pivot_at(moment, moments, albedo, reversed, absorbed, u);
     const bool below = !pivot.good || pivot.value < 0;
     *(below ? &low : &high) = u;
     double next = u - pivot.value / pivot.slope;
@@ -107,5 +108,6 @@ double transport_anisotropic_kappa(double albedo, double g) {
     moment[l] = g * moment[l - 1];
   }
   const double sigma_s = albedo / (1 - g), sigma_t = 1 - albedo + sigma_s;
-  return sigma_t * transport_decay_rate(moment, MOMENTS, sigma_s / sigma_t, (1 - albedo) / sigma_t);
+  return sigma_t *
+         transport_decay_rate(moment, MOMENTS, sigma_s / sigma_t, 0, (1 - albedo) / sigma_t);
 }

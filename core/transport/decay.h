@@ -14,8 +14,9 @@ double transport_kappa(double albedo);
 double transport_anisotropic_kappa(double albedo, double g);
 
 /* Returns kappa per mean free path for a phase function with these moments: moment[l] is the mean of
- * P_l, moment[0] is 1, and those from `moments` on are 0. albedo: of single scattering. absorbed: 1
- * less the albedo. At most 1. */
-double transport_decay_rate(const double *moment, size_t moments, double albedo, double absorbed);
+ * P_l, moment[0] is 1, and those from `moments` on are 0. albedo: of single scattering. reversed: that
+ * of light which is sent straight back beside it. absorbed: 1 less both. At most 1. */
+double transport_decay_rate(const double *moment, size_t moments, double albedo, double reversed,
+                            double absorbed);
 
 #endif

@@ -380,7 +380,7 @@ static void print_anisotropic(const core_isa *isa) {
     moment[l] = 0.6 * moment[l - 1];
   }
   const expansion_rules rules = {4, 9, 3};
-  const expansion_medium medium = {0.9, MOMENTS, moment};
+  const expansion_medium medium = {0.85, MOMENTS, moment, 0.05};
   const expansion_boundaries boundaries = {.count = ETAS, .etas = etas};
   expansion *expanded = solver_expansion_new(isa, &rules, &medium, &boundaries);
   layer_exitance exitance[ETAS];
@@ -388,7 +388,7 @@ static void print_anisotropic(const core_isa *isa) {
     const double complex k = 1.25 + 0.125 * imaginary * (double complex)I;
     if (expanded != NULL && solver_layer_halfspace(expanded, k, 0.25, exitance)) {
       for (size_t eta = 0; eta < ETAS; eta++) {
-        const double complex numbers[] = {exitance[eta].single, exitance[eta].part[0],
+        const double complex numbers[] = {exitance[eta].beam, exitance[eta].part[0],
                                           exitance[eta].diffuse};
         sum = checksum(sum, numbers, sizeof numbers);
       }
