@@ -580,8 +580,7 @@ static void put_start(const struct eval_job *eval) {
 /* Remembers the request, so that later requests can repeat it with other radii. A request whose
  * check depends on the radii cannot be repeated. */
 static void learn_request(const struct eval_job *eval) {
-  if (!eval->drawn && eval->parts.part_count == 1 && eval->covers_all &&
-      !choice_heeds_radii(&eval->choice, &eval->request)) {
+  if (!eval->drawn && eval->covers_all && !choice_heeds_radii(&eval->choice, &eval->request)) {
     repeat_learn(&eval->job.context->repeat, &eval->request, &eval->grid, &eval->layout,
                  eval->reply, eval->channels);
   }
