@@ -18,6 +18,7 @@ from pathlib import Path
 import dipole
 import numpy as np
 import pytest
+from command_line import Proxy, busy
 from daemons import BUILD, PROGRAM, REPOSITORY, environment, finished
 from dipole import Grid, Medium, exchange, wire
 from dipole import connection as connections
@@ -147,6 +148,13 @@ def test_the_name_of_a_measured_medium(client):
             one_medium_only()
     with pytest.raises(dipole.ArgumentError, match="Did you mean skin1?"):
         client.values("better", "skim1", 1.0)
+
+
+def test_the_error_is_the_largest_of_all_quantities(client):
+    found = client.eval("better", SKIN, [1.0, 1000.0], wanted=["R", "albedo"])
+    R, albedo = (found.numerical_error(quantity=name)[0] for name in ("R", "albedo"))
+    assert R[1] > R[0] > 0 and albedo[1] == albedo[0] > 0  # that of R grows with the radius
+    np.testing.assert_array_equal(found.numerical_error()[0], np.maximum(R, albedo))
 
 
 def test_a_quantity_that_was_not_wanted_is_named(client):
@@ -603,6 +611,19 @@ def test_an_interrupt_while_the_client_waits(shared, monkeypatch):
                 client.collect(waiting)
         before = client._session.connection
         assert client.collect(waiting)[1].R > 0 and client._session.connection is before
+
+
+def test_a_client_that_was_refused_sleeps_until_its_time(daemon, monkeypatch):
+    asked, polls, poll = [], [], connections._poll
+    monkeypatch.setattr(connections, "_poll", lambda *how: polls.append(how) or poll(*how))
+
+    def refuse_the_first(number: int, request_id: int) -> bytes | None:
+        asked.append(number)
+        return busy(request_id, 300) if len(asked) == 1 else None
+
+    with Proxy(daemon().url(), refuse_the_first) as proxy, dipole.Client(proxy.url) as client:
+        assert client.eval("better", SKIN, [1.0]).R > 0
+    assert len(asked) == 2 and len(polls) < 30
 
 
 GOOD_CALLS = [
