@@ -167,7 +167,7 @@ static int make_kernel(bake *of) {
     taps laid;
     lay_taps(r_mm, count, common ? most : ranges[i], &laid);
     ranges[i] = laid.range_mm;
-    errors[i] = edge_error(r_mm, &laid, 128);
+    errors[i] = edge_error(r_mm, &laid, 128) + CLI_EDGE_ERROR;
     beyond[i] = 2 * (1 - cli_edge_at(r_mm, laid.ends[count]));
     steps[i] = 0;
     for (size_t k = 0; k < count; k++) {
@@ -260,7 +260,7 @@ static int make_gaussians(bake *of) {
       for (size_t k = 0; k < count; k++) {
         edge += 0.5 * shares[k] * erf(r_mm[j] / sqrt(2 * variances[k]));
       }
-      errors[i] = fmax(errors[i], fabs(edge - cli_edge_at(r_mm, r_mm[j])));
+      errors[i] = fmax(errors[i], fabs(edge - cli_edge_at(r_mm, r_mm[j])) + CLI_EDGE_ERROR);
     }
   }
   add_fact(&of->sheet, "edge_error",
@@ -826,10 +826,8 @@ static int take_media(bake *of) {
   }
   add_fact(&of->sheet, "colour", "share that leaves of the light that entered at normal incidence",
            colours);
-  if (!half_space) {
-    add_fact(&of->sheet, "transport_error", "relative error of R; the other errors are beside it",
-             errors);
-  }
+  add_fact(&of->sheet, "transport_error",
+           "relative error of R and of the cdf; the other errors are beside it", errors);
   return CLI_OK;
 }
 

@@ -106,7 +106,7 @@ double cli_edge_burley(const double *r_mm, double *error) {
     }
   }
   if (error != NULL) {
-    *error = worst;
+    *error = worst + CLI_EDGE_ERROR;
   }
   return d;
 }

@@ -8,6 +8,9 @@
 
 enum { CLI_EDGE_RADII = 4096 };
 
+/* What a difference of E and of another edge, at some places, may lack of the largest one. */
+#define CLI_EDGE_ERROR 6e-5
+
 /* Sets *r_mm to the radii between which equal shares of the light leave, [count][CLI_EDGE_RADII] and
  * ascending, of media[count][layer_count] under transport; colours[count] to their albedos, and
  * errors[count] to the relative errors of R that the daemon states; these may be NULL. Says what is

@@ -6,8 +6,9 @@ $ dipole bake kernel --medium skin1 --eta 1.4 --common --format hlsl --taps 11
 // g 0 0 0 (mean cosine of the scattering angle)
 // eta 1.4 1.4 1.4 (refractive index)
 // colour 0.400296 0.186303 0.0988927 (share that leaves of the light that entered at normal incidence)
+// transport_error 3.21e-06 3.21e-06 3.21e-06 (relative error of R and of the cdf; the other errors are beside it)
 // range_mm 7.3783 7.3783 7.3783 (offset of the last tap)
-// edge_error 0.0134912 0.0274942 0.0500509 (largest error beside a straight shadow edge, of the light inside, if taps take the light of their bins (half the way to each neighbour))
+// edge_error 0.0135512 0.0275542 0.0501109 (largest error beside a straight shadow edge, of the light inside, if taps take the light of their bins (half the way to each neighbour))
 // step 0.158057 0.30317 0.479536 (largest step if an edge is sharper than the taps lie apart)
 // beyond 0.0242815 0.000527959 0 (share of the light beyond the taps' bins, which the last taps take)
 // columns: weight_red,weight_green,weight_blue,offset
@@ -32,8 +33,9 @@ $ dipole bake kernel --sigma-a .1 --sigma-s 1 --g 0 --taps 11 --range 4
 // g 0 0 0 (mean cosine of the scattering angle)
 // eta 1.3 1.3 1.3 (refractive index)
 // colour 0.306607 0.306607 0.306607 (share that leaves of the light that entered at normal incidence)
+// transport_error 3.21e-06 3.21e-06 3.21e-06 (relative error of R and of the cdf; the other errors are beside it)
 // range_mm 4 4 4 (offset of the last tap)
-// edge_error 0.015565 0.015565 0.015565 (largest error beside a straight shadow edge, of the light inside, if taps take the light of their bins (half the way to each neighbour))
+// edge_error 0.015625 0.015625 0.015625 (largest error beside a straight shadow edge, of the light inside, if taps take the light of their bins (half the way to each neighbour))
 // step 0.172227 0.172227 0.172227 (largest step if an edge is sharper than the taps lie apart)
 // beyond 0.0203938 0.0203938 0.0203938 (share of the light beyond the taps' bins, which the last taps take)
 // columns: weight_red,weight_green,weight_blue,offset_red,offset_green,offset_blue
@@ -58,7 +60,8 @@ $ dipole bake burley --medium skin1 --eta 1.4 --format json
  "g": [0, 0, 0],
  "eta": [1.4, 1.4, 1.4],
  "colour": [0.400295964, 0.186303119, 0.0988926809],
- "edge_error": [0.00641387828, 0.0102349699, 0.0124214135],
+ "transport_error": [3.21e-06, 3.21e-06, 3.21e-06],
+ "edge_error": [0.00647387828, 0.0102949699, 0.0124814135],
  "columns": ["d_red", "d_green", "d_blue"],
  "rows": [
   [1.22272644, 0.466210495, 0.207102808]
@@ -71,7 +74,8 @@ $ dipole bake burley --medium skin1 --eta 1.4 --format csv
 # g 0 0 0 (mean cosine of the scattering angle)
 # eta 1.4 1.4 1.4 (refractive index)
 # colour 0.400296 0.186303 0.0988927 (share that leaves of the light that entered at normal incidence)
-# edge_error 0.00641388 0.010235 0.0124214 (largest error beside a straight shadow edge, of the light inside)
+# transport_error 3.21e-06 3.21e-06 3.21e-06 (relative error of R and of the cdf; the other errors are beside it)
+# edge_error 0.00647388 0.010295 0.0124814 (largest error beside a straight shadow edge, of the light inside)
 d_red,d_green,d_blue
 1.22272644,0.466210495,0.207102808
 

@@ -64,7 +64,7 @@ def test_a_kernel_blurs_an_edge_as_it_says(client, medium):
     x = np.linspace(-3, 3, 6001) * offsets[-1] / 2
     lit = np.clip((x[:, None] - ends[:-1]) / np.diff(ends), 0, 1) @ weights
     found = np.abs(lit - edge_of(client, file, 0)(x)).max()
-    assert 0.9 * file["edge_error"][0] - 1e-4 < found < 1.001 * file["edge_error"][0] + 1e-5
+    assert 0.9 * file["edge_error"][0] - 2e-4 < found <= file["edge_error"][0]
     assert weights.max() == pytest.approx(file["step"][0], rel=1e-6)
 
 
@@ -94,7 +94,7 @@ def test_gaussians_meet_an_edge_as_they_say(client, medium):
     x = np.concatenate([[0], np.geomspace(1e-3, 60, 1500) * medium["path"] / (1 - medium["g"])])
     error = np.vectorize(math.erf)(x[:, None] / np.sqrt(2 * variances))
     found = np.abs(0.5 + error @ shares / 2 - edge_of(client, file, 0)(x)).max()
-    assert 0.9 * file["edge_error"][0] - 3e-4 < found < 1.001 * file["edge_error"][0] + 1e-5
+    assert 0.9 * file["edge_error"][0] - 4e-4 < found <= file["edge_error"][0]
 
 
 @pytest.mark.parametrize("medium", MEDIA, ids=NAMES)
