@@ -62,7 +62,7 @@ $(BUILD)/prometheus:
 
 .PHONY: check-programs check-nightly check-ci check-structure check-types check-unit check-units-long check-bits \
 	check-bits-aarch64 check-e2e check-again check-packages check-soak check-soak-long check-tls-long \
-	check-services check-balancer-long check-blender check-figures check-plan plan scaling check-pipeline check-asan check-tsan check-fuzz \
+	check-services check-balancer-long check-blender check-figures check-plan plan scaling farm-day check-pipeline check-asan check-tsan check-fuzz \
 	check-fuzz-long check-truth check-truth-long check-fits check-varying check-rings rings soak truth \
 	fuzz fuzz-merge bench
 
@@ -150,6 +150,10 @@ plan: all ## how many daemons and how much network a farm needs
 
 scaling: all
 	@$(PLAN_COMMAND) $(PLAN) --write server/DEPLOYING.md
+
+farm-day: all ## frames an hour by eight clients and three daemons behind HAProxy, and at home (a minute)
+	@sh .ci/install-packages
+	@env TESTED_BUILD=$(abspath $(BUILD)) PYTHONPATH=clients/python PYTHONDONTWRITEBYTECODE=1 $(PYTHON) tests/farm_day.py
 
 check-plan: all
 	@$(PLAN_COMMAND) --check
