@@ -509,7 +509,7 @@ static const core_fault memory_fault = {CORE_FIELD_MEMORY, "enough for the solut
 
 /* Least extinction of a layer over the largest one's. The functions of angle do not resolve grazing
  * light in a weaker one that scattering layers enclose: all grids share that error. */
-#define WEAKEST 0.1
+#define WEAKEST 0.02
 
 static bool is_eta(double eta) {
   return eta >= TRANSPORT_ETA_MIN && eta <= TRANSPORT_ETA_MAX;
@@ -545,8 +545,8 @@ core_fault solver_layers_check(const solver_layer *layer, size_t count, double e
   }
   for (size_t i = 0; i + 1 < count; i++) {
     if (layer[i].sigma_a_per_mm + layer[i].sigma_s_per_mm < WEAKEST * most) {
-      return (core_fault){"sigma_s",
-                          "sigma_a + sigma_s of a tenth of the largest, but in the last layer", i};
+      return (core_fault){
+          "sigma_s", "sigma_a + sigma_s of a fiftieth of the largest, but in the last layer", i};
     }
   }
   return is_eta(eta_below) ? no_fault : (core_fault){"eta_below", "0.25 to 4", 0};

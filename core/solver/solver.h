@@ -128,7 +128,7 @@ typedef struct solver_layers solver_layers;
 
 /* Returns what solver_layers_solve() refuses of layers, without solving: `layer_count`, with the
  * index of the layer `sigma_a`, `sigma_s`, `g`, `eta` and `thickness`, and `eta_below`. A layer above
- * the last one has a tenth or more of the largest sigma_a + sigma_s. */
+ * the last one has a fiftieth or more of the largest sigma_a + sigma_s. */
 core_fault solver_layers_check(const solver_layer *layer, size_t count, double eta_below);
 
 /* Solves layers, from the top down, on which a pencil beam falls at right angles. Finer and finer

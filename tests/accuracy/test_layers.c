@@ -256,7 +256,7 @@ UNIT_TEST(layers_out_of_range_are_refused) {
       {{good, good}, 1, 1e-2, SOLVER_LAYERS_MAX + 1, 0, "layer_count"},
       {{good, {-0.1, 10, 0.8, 1.4, 1}}, 1, 1e-2, 2, 1, "sigma_a"},
       {{good, {0, 0, 0.8, 1.4, 1}}, 1, 1e-2, 2, 1, "sigma_s"},
-      {{{0.1, 0.9, 0, 1.4, 1}, good}, 1, 1e-2, 2, 0, "sigma_s"}, /* weaker than a tenth */
+      {{{0.02, 0.18, 0, 1.4, 1}, good}, 1, 1e-2, 2, 0, "sigma_s"}, /* weaker than a fiftieth */
       {{good, {0.1, 10, 0.995, 1.4, 1}}, 1, 1e-2, 2, 1, "g"},
       {{{0.1, 10, 0.8, (double)NAN, 1}, good}, 1, 1e-2, 2, 0, "eta"},
       {{{0.1, 10, 0.8, 1.4, DEEP}, good}, 1, 1e-2, 2, 0, "thickness"},
@@ -403,7 +403,7 @@ static size_t draw_stack(uint64_t *random, size_t layers_most, core_medium layer
   printf("index below: %.6g\n", *eta_below);
   for (size_t i = 0; i < count; i++) {
     const bool last = i + 1 == count, white = finite && unit_random_below(random, 5) == 0;
-    const double sigma_t = unit_random_log(random, last ? 0.03 : 0.3, 3);
+    const double sigma_t = unit_random_log(random, last ? 0.03 : 0.06, 3);
     const double absorbed = white ? 0 : unit_random_log(random, 1e-3, 0.7) * sigma_t;
     const double g = unit_random_between(random, -0.5, 0.95);
     layer[i] = (core_medium){absorbed, sigma_t - absorbed, g, eta, 0};
