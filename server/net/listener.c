@@ -14,6 +14,7 @@
 #include "server/net/handshake.h"
 #include "server/net/tcp.h"
 #include "server/net/worker.h"
+#include "server/observe/health.h"
 #include "server/observe/log.h"
 
 enum {
@@ -21,7 +22,7 @@ enum {
   ACCEPTS_PER_ROUND = 64,
   PAUSE_MS = 100,        /* pause before accepting again when no file descriptor is left */
   PAUSE_LOG_MS = 10000,  /* how often such pauses are logged while they last */
-  REFUSALS_AT_ONCE = 64, /* refused connections that get an error; more are closed */
+  REFUSALS_AT_ONCE = 64, /* refused connections that a worker serves; more are closed at once */
 };
 
 static bool complain(const char *url, const char *why) {
@@ -41,6 +42,28 @@ static uint64_t held_connections(const struct server *server) {
   return held;
 }
 
+/* Sends the error and closes the socket. A new socket always has room for this frame. A peer that
+ * has already sent something may not get the frame, because closing then resets the connection. */
+static void refuse_at_once(struct server *server, int fd, struct tls_session *session,
+                           enum connection_purpose purpose) {
+  const wire_header header = {.magic = WIRE_MAGIC,
+                              .version = WIRE_VERSION,
+                              .type = WIRE_TYPE_ERROR,
+                              .payload_bytes = WIRE_BYTES_error};
+  const wire_error error = connection_refusal(purpose);
+  health_note_refusal(server, &error);
+  uint8_t frame[WIRE_BYTES_header + WIRE_BYTES_error];
+  wire_put_header(frame, &header);
+  wire_put_error(frame + WIRE_BYTES_header, &error);
+  const ssize_t sent = session != NULL ? tls_session_write(session, frame, sizeof frame)
+                                       : send(fd, frame, sizeof frame, MSG_NOSIGNAL | MSG_DONTWAIT);
+  if (sent == (ssize_t)sizeof frame) {
+    stats_count_reply(&server->stats, error.status);
+  }
+  tls_session_free(session);
+  close(fd);
+}
+
 static void give_to_worker(struct server *server, int fd, struct tls_session *session,
                            bool inherited) {
   struct stats *stats = &server->stats;
@@ -57,8 +80,7 @@ static void give_to_worker(struct server *server, int fd, struct tls_session *se
   struct client *connection =
       refused && too_many_refusals ? NULL : connection_new(server, fd, session, purpose);
   if (connection == NULL) {
-    tls_session_free(session);
-    close(fd);
+    refuse_at_once(server, fd, session, purpose);
     return;
   }
   if (!refused) {

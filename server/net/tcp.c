@@ -197,8 +197,7 @@ size_t tcp_listen_option(const char *option, const char *address, int fds[TCP_AD
   return count;
 }
 
-/* Returns the number that the next descriptor would get; -1 with errno if none is left. */
-static int lowest_descriptor(void) {
+int tcp_lowest_descriptor(void) {
   const int lowest = fcntl(STDERR_FILENO, F_DUPFD_CLOEXEC, 0);
   if (lowest >= 0) {
     syscall(SYS_close,
@@ -209,7 +208,7 @@ static int lowest_descriptor(void) {
 
 bool tcp_has_descriptor(void) {
   struct rlimit limit;
-  const int lowest = lowest_descriptor();
+  const int lowest = tcp_lowest_descriptor();
   if (lowest < 0 || getrlimit(RLIMIT_NOFILE, &limit) != 0) {
     return false;
   }

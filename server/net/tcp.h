@@ -21,6 +21,9 @@ const char *tcp_why_not(int error);
  * standard error and returns 0. */
 size_t tcp_listen_option(const char *option, const char *address, int fds[TCP_ADDRESSES_MAX]);
 
+/* Returns the number that the next descriptor would get; -1 with errno if none is left. */
+int tcp_lowest_descriptor(void);
+
 /* Returns whether a client may have one more descriptor: some are kept for /healthz and metrics, and
  * for files that are read again. If not, errno is EMFILE. */
 bool tcp_has_descriptor(void);

@@ -5,7 +5,9 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/queue.h>
 #include <sys/resource.h>
+#include <sys/socket.h>
 #include <time.h>
 #include <unistd.h>
 
@@ -18,7 +20,7 @@
 #include "server/server.h"
 
 enum {
-  MOST_CONNECTIONS = 16, /* the most connections at a time */
+  MOST_CONNECTIONS = 16, /* the most connections at a time: one more ends the oldest */
   SILENCE_S = 5,         /* seconds of silence after which a connection is closed */
   CONNECTION_BYTES = 16384,
 };
@@ -148,11 +150,24 @@ static char *make_text(const struct server *server, double start_s) {
 
 /* ---- serving ------------------------------------------------------------------------------- */
 
-/* The library has one listening socket, and a thread, for each of its daemons. */
+/* A connection that is open. */
+struct holder {
+  TAILQ_ENTRY(holder) in_holders;
+  int fd;
+};
+
+/* One address: the library has one listening socket, and a thread, for each of its daemons. */
+struct port {
+  const struct metrics *metrics;
+  struct MHD_Daemon *daemon;
+  TAILQ_HEAD(, holder) holders; /* from the oldest on; only the library's thread touches them */
+  unsigned count;
+};
+
 struct metrics {
   const struct server *server;
   double start_s; /* start of the daemon in s since 1970 */
-  struct MHD_Daemon *daemons[TCP_ADDRESSES_MAX];
+  struct port ports[TCP_ADDRESSES_MAX];
 };
 
 /* Prints a text, which the caller frees. Returns NULL if there is no memory. */
@@ -204,7 +219,8 @@ static enum MHD_Result on_request(void *context, struct MHD_Connection *connecti
                                   size_t *body_bytes, void **state) {
   unsigned status;
   (void)body, (void)body_bytes, (void)state;
-  char *text = reply_to(connection, context, url, method, version, &status);
+  char *text =
+      reply_to(connection, ((const struct port *)context)->metrics, url, method, version, &status);
   struct MHD_Response *response =
       text != NULL ? MHD_create_response_from_buffer(strlen(text), text, MHD_RESPMEM_MUST_FREE)
                    : NULL;
@@ -226,20 +242,49 @@ static enum MHD_Result on_request(void *context, struct MHD_Connection *connecti
   return sent;
 }
 
-static struct MHD_Daemon *start_library(struct metrics *metrics, int fd) {
-  return MHD_start_daemon(
-      MHD_USE_AUTO | MHD_USE_INTERNAL_POLLING_THREAD | MHD_USE_ITC, 0, NULL, NULL, on_request,
-      metrics, MHD_OPTION_LISTEN_SOCKET, fd, MHD_OPTION_CONNECTION_LIMIT,
-      (unsigned)MOST_CONNECTIONS, MHD_OPTION_CONNECTION_TIMEOUT, (unsigned)SILENCE_S,
-      MHD_OPTION_CONNECTION_MEMORY_LIMIT, (size_t)CONNECTION_BYTES, MHD_OPTION_UNESCAPE_CALLBACK,
-      http_header_leave_escaped, NULL, MHD_OPTION_END);
+/* The library accepts nothing while it has its most connections, or no descriptor is left. So the
+ * last connection ends the oldest, and a probe is served however many clients are silent. */
+static void on_connection(void *context, struct MHD_Connection *connection, void **state,
+                          enum MHD_ConnectionNotificationCode what) {
+  struct port *port = context;
+  struct holder *holder = *state;
+  if (what == MHD_CONNECTION_NOTIFY_CLOSED) {
+    if (holder != NULL) {
+      TAILQ_REMOVE(&port->holders, holder, in_holders);
+      port->count--;
+      free(holder);
+    }
+    return;
+  }
+  *state = holder = malloc(sizeof *holder);
+  if (holder == NULL) {
+    return;
+  }
+  holder->fd = MHD_get_connection_info(connection, MHD_CONNECTION_INFO_CONNECTION_FD)->connect_fd;
+  TAILQ_INSERT_TAIL(&port->holders, holder, in_holders);
+  port->count++;
+  const bool is_full = port->count >= MOST_CONNECTIONS || tcp_lowest_descriptor() < 0;
+  if (is_full && TAILQ_FIRST(&port->holders) != holder) {
+    shutdown(TAILQ_FIRST(&port->holders)->fd, SHUT_RDWR);
+  }
 }
 
-static bool open_port(struct metrics *metrics, struct MHD_Daemon **daemon, int fd) {
+static struct MHD_Daemon *start_library(struct port *port, int fd) {
+  return MHD_start_daemon(
+      MHD_USE_AUTO | MHD_USE_INTERNAL_POLLING_THREAD | MHD_USE_ITC, 0, NULL, NULL, on_request, port,
+      MHD_OPTION_LISTEN_SOCKET, fd, MHD_OPTION_CONNECTION_LIMIT, (unsigned)MOST_CONNECTIONS,
+      MHD_OPTION_CONNECTION_TIMEOUT, (unsigned)SILENCE_S, MHD_OPTION_CONNECTION_MEMORY_LIMIT,
+      (size_t)CONNECTION_BYTES, MHD_OPTION_UNESCAPE_CALLBACK, http_header_leave_escaped, NULL,
+      MHD_OPTION_NOTIFY_CONNECTION, on_connection, port, MHD_OPTION_END);
+}
+
+static bool open_port(struct metrics *metrics, struct port *port, int fd) {
   char bound[TCP_TEXT_BYTES];
   tcp_bound(fd, bound);
-  *daemon = start_library(metrics, fd); /* libmicrohttpd owns the socket from here on. */
-  if (*daemon == NULL) {
+  port->metrics = metrics;
+  TAILQ_INIT(&port->holders);
+  port->daemon = start_library(port, fd); /* libmicrohttpd owns the socket from here on. */
+  if (port->daemon == NULL) {
     fprintf(stderr, "dipoled: --metrics %s: the HTTP server does not start\n", bound);
     close(fd);
     return false;
@@ -262,7 +307,7 @@ struct metrics *metrics_open(struct server *server, const char *address) {
   const size_t count = tcp_listen_option("metrics", address, fds);
   bool good = count > 0;
   for (size_t i = 0; i < count; i++) {
-    good &= open_port(metrics, &metrics->daemons[i], fds[i]);
+    good &= open_port(metrics, &metrics->ports[i], fds[i]);
   }
   if (!good) {
     metrics_close(metrics);
@@ -273,7 +318,7 @@ struct metrics *metrics_open(struct server *server, const char *address) {
 
 void metrics_close(struct metrics *metrics) {
   for (size_t i = 0; metrics != NULL && i < TCP_ADDRESSES_MAX; i++) {
-    MHD_stop_daemon(metrics->daemons[i]);
+    MHD_stop_daemon(metrics->ports[i].daemon);
   }
   free(metrics);
 }
