@@ -105,25 +105,25 @@ double solver_phase_at(const solver_phase *phase, double cosine) {
   return sum;
 }
 
-/* Where light is scattered back: the moments for each degree of the functions of angle, how many times
- * as large as elsewhere the least one of them is, and exitance_series.peak times 1 - |g|. */
+/* Where light is scattered back: the moments for each degree of the functions of angle, and
+ * exitance_series.peak times 1 - |g|. */
 #define BACKWARD (-0.6)
 #define MOMENTS_BACKWARD 1.5
-#define LEAST_BACKWARD 100
 #define PEAK_BACKWARD 1.6
+#define PEAK_FROM (-0.75) /* mean cosine below which X has it */
 
 bool solver_is_backward(const solver_phase *phase) {
   return solver_moment_at(phase, 1) < BACKWARD;
 }
 
 double solver_peak_at(const solver_phase *phase) {
-  return solver_is_backward(phase) ? PEAK_BACKWARD / (1 + solver_moment_at(phase, 1)) : 0;
+  const double g = solver_moment_at(phase, 1);
+  return g < PEAK_FROM ? PEAK_BACKWARD / (1 + g) : 0;
 }
 
 size_t solver_moments_kept(const solver_phase *phase, double least, size_t most, size_t degrees) {
   if (solver_is_backward(phase)) {
     most = (size_t)(MOMENTS_BACKWARD * (double)degrees);
-    least *= LEAST_BACKWARD;
   }
   while (most > 2 && fabs(solver_moment_at(phase, most - 1)) <= least) {
     most--;

@@ -70,11 +70,11 @@ bool solver_stops(const atomic_bool *stop);
 /* Returns whether so much light is scattered back that each tier needs as many degrees as the last. */
 bool solver_is_backward(const solver_phase *phase);
 
-/* Returns exitance_series.peak, per scaled mean free path: 0 if that is not so. */
+/* Returns exitance_series.peak, per scaled mean free path. */
 double solver_peak_at(const solver_phase *phase);
 
 /* Returns how many moments of a phase function are kept: at most `most`, or where light is scattered
- * back what functions of so many degrees resolve, without the last ones of size up to about `least`,
+ * back what functions of so many degrees resolve, without the last ones of size up to `least`,
  * but 2 or more. */
 size_t solver_moments_kept(const solver_phase *phase, double least, size_t most, size_t degrees);
 

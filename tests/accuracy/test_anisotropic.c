@@ -248,6 +248,15 @@ UNIT_TEST(diffuse_light_scattered_once_is_what_integrals_say) {
   }
 }
 
+/* A walk of 1e7 photons that enter in all directions, and 3 standard errors. */
+UNIT_TEST(diffuse_light_that_is_scattered_back_is_as_it_is_walked) {
+  const solver_phase phase = {-0.9, 0, NULL};
+  const double eta = 1;
+  solver_total total;
+  unit_assert_fault(solver_totals(&total, core_isa_select(NULL), 0.05, &phase, &eta, 1), NULL, 0);
+  assert_true(fabs(total.diffuse.value - 0.617752) < 3.4e-4);
+}
+
 /* Where light is scattered forward and absorbed, most of what leaves was scattered once. */
 UNIT_TEST(diffuse_totals_are_known_to_1e5) {
   static const double media[][2] = {{0.1, 0.9}, {1, 0.9}, {8, 0.9}, {15, 0.945}, {30, -0.4}};
