@@ -77,7 +77,7 @@ enum { GRIDS_MOST = 4 };
 /* X on the path is known as well as this part of the floor far away, relative. Where its
  * contributions cancel, far from the beam and in T of slabs that let nearly nothing through, it
  * counts more. What is smaller by DIGITS than 1 per squared reduced mean free path is not known. */
-#define PATH_ERROR 0.03
+#define PATH_ERROR 0.01
 #define DIGITS 2e-19
 
 #define NEARER 1.2
