@@ -559,7 +559,10 @@ core_fault solver_layers_check(const solver_layer *layer, size_t count, double e
 /* Below this many times 1 / K, R and T are made of waves beyond K, which both grids guess. */
 #define GUESSED 4.0
 
-/* Under an upper medium of less depth, so many radii are compared from each stated one to the next. */
+/* Without a half space up to so many reduced mean free paths, and under an upper medium of less depth, which guides waves
+ * beyond K, the grids' difference oscillates with the radius: so many radii are compared from each
+ * stated one to the next. Only of guided waves would a finer grid have less of this. */
+#define OSCILLATES 1.0
 #define THIN_GUIDES 1.0
 enum { SAMPLES = 4 };
 #define SAMPLES_RATIO 1.0973 /* SOLVER_ERROR_RATIO^(1/4) */
@@ -569,8 +572,7 @@ enum { SAMPLES = 4 };
 static void find_errors(solver_layers *of, double worst[SIDES]) {
   const struct grid *fine = of->grid[0];
   double margin = of->sides > 1 ? MARGIN_FINITE : MARGIN;
-  /* Where a thin layer guides waves beyond K, the grids' difference oscillates with the radius. */
-  const size_t samples = depth_from(fine, of, 0) < THIN_GUIDES ? SAMPLES : 1;
+  const size_t counted = depth_from(fine, of, 0) < THIN_GUIDES ? SAMPLES : 1;
   for (size_t i = 0; i < of->count; i++) {
     const stack_layer *layer = &fine->layer[i];
     const solver_phase phase = {.g = layer->g};
@@ -584,26 +586,30 @@ static void find_errors(solver_layers *of, double worst[SIDES]) {
   for (size_t side = 0; side < of->sides; side++) {
     const exitance_grid *known = &fine->wavenumbers[side];
     const double guessed = GUESSED / creal(known->point[known->panels]);
-    double size, above = 0, r = SOLVER_ERROR_LEAST;
+    double size, above = 0, seen = 0, r = SOLVER_ERROR_LEAST;
     for (size_t i = 1; i < SOLVER_ERROR_RADII; i++) {
       r *= SOLVER_ERROR_RATIO;
     }
     worst[side] = of->floor[1];
     for (size_t i = SOLVER_ERROR_RADII; i-- > 0; r /= SOLVER_ERROR_RATIO) {
       const double r_mm = r * of->radius_mm, units = r_mm / fine->unit_mm;
-      double error = 0, between = r_mm;
-      for (size_t j = 0; j < samples; j++, between *= SAMPLES_RATIO) {
+      const bool near = of->sides > 1 && r < OSCILLATES;
+      double error = 0, some = 0, between = r_mm;
+      for (size_t j = 0; j < (near ? SAMPLES : counted); j++, between *= SAMPLES_RATIO) {
         const double value = value_at(fine, side, between, &size);
         const double other = value_at(of->grid[1], side, between, &size);
-        error = fmax(error, solver_error_between(margin, value, other));
+        const double off = solver_error_between(margin, value, other);
+        error = fmax(error, off);
+        some = j < counted ? fmax(some, off) : some;
       }
       above = fmax(error, units < guessed ? above : 0);
+      seen = fmax(some, units < guessed ? seen : 0);
       of->error[side][i] = above;
       const bool decays = units * fine->rate >= DECAYS_MOST;
       of->last = decays || of->last > i ? of->last : i;
       const bool counts =
           r * NEIGHBOURS >= RADIUS_COUNTS && r <= SOLVER_RADIUS_MOST * NEIGHBOURS && !decays;
-      worst[side] = counts ? fmax(worst[side], above) : worst[side];
+      worst[side] = counts ? fmax(worst[side], seen) : worst[side];
     }
   }
 }
