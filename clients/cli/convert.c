@@ -659,6 +659,11 @@ static int check(cli_settings *settings) {
   if (isnan(cli_unit_mm(settings))) {
     return CLI_USAGE;
   }
+  if (settings->unit != NULL && (from == NULL || from->unit_mm > 0) &&
+      (to == NULL || to->unit_mm > 0)) {
+    return cli_fail_usage("--unit: the lengths of %s and %s have units of their own: leave it out",
+                          name_of(from), name_of(to));
+  }
   if (is_native(settings) && (to == NULL || to->form == &form_NONE)) {
     return cli_fail_usage("--format native: %s has none; take json or csv", name_of(to));
   }

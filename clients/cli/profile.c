@@ -74,7 +74,7 @@ const cli_numbers *cli_lengths_find(const cli_settings *settings, const char **n
 }
 
 double cli_unit_mm(const cli_settings *settings) {
-  const char *unit = settings->unit;
+  const char *unit = settings->unit != NULL ? settings->unit : "mm";
   char *end = "";
   const double value = strcmp(unit, "mm") == 0   ? 1
                        : strcmp(unit, "cm") == 0 ? 10

@@ -48,7 +48,8 @@ extern const cli_option cli_layer_options[];
   "takes microseconds."
 
 #define CLI_UNIT_OPTION                                                                            \
-  CLI_OPTION(TEXT, unit, "mm", "unit of lengths: mm, cm, m, or the millimetres of a scene's unit")
+  CLI_OPTION(TEXT, unit, NULL,                                                                     \
+             "unit of lengths: mm (default), cm, m, or the millimetres of a scene's unit")
 
 /* The lengths by which a medium can be given with an albedo. */
 #define CLI_LENGTH_OPTIONS                                                                         \

@@ -180,3 +180,8 @@ $ printf '<materialx><standard_surface/></materialx>' > x.mtlx; dipole convert -
 ! dipole convert: x.pbrt: it has no material "subsurface"
 ! dipole convert: x: it is larger than 16 MiB, or no text
 ? 1
+
+$ dipole convert --from gltf --colour .5 --length 1 --unit mm
+! dipole convert: --unit: the lengths of gltf and coefficients have units of their own: leave it out
+! `dipole convert --help` says more.
+? 2

@@ -67,8 +67,7 @@ Medium
                         instead: 1 / sqrt(3 sigma_a sigma_t')
   --extinction-path X[,X...]
                         instead: 1 / (sigma_a + sigma_s), which most renderers mean
-  --unit NAME           unit of lengths: mm, cm, m, or the millimetres of a scene's unit (default:
-                        mm)
+  --unit NAME           unit of lengths: mm (default), cm, m, or the millimetres of a scene's unit
   --g X                 mean cosine of the scattering angle (default: 0)
   --eta X               refractive index inside over outside; 1: no interface (default: 1.3)
 

@@ -46,7 +46,7 @@ def naming(arguments: str) -> Iterator[None]:
     """Makes an ArgumentError, which names the arguments, of what numpy says of them."""
     try:
         yield
-    except (TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError) as error:
         raise ArgumentError(f"{arguments}: {error}") from error
 
 

@@ -351,7 +351,8 @@ class Result(_Evaluated):
         """Returns how far a value at radius r may be from the model's exact formula: [C, N],
         relative, for ln R, its derivatives, paths and modulated light absolute. r: [N] mm; the default is the result's own
         radii. quantity: its name, such as "R"; None takes the largest of all wanted ones."""
-        chosen = [self.errors[quantity]] if quantity is not None else list(self.errors.values())
+        with naming(f"quantity: one of {', '.join(self.errors)}"):
+            chosen = list(self.errors.values()) if quantity is None else [self.errors[quantity]]
         constants = np.max([one.numerical_error for one in chosen], axis=0)
         per_mm = np.max([one.numerical_error_per_mm for one in chosen], axis=0)
         with naming('r: radii in mm; a quantity is named as quantity="cdf"'):
