@@ -8,7 +8,7 @@
 
 #include "server/jobs/job.h"
 
-enum { ROUNDED_BYTES = 16, ALLOWED_BYTES = sizeof((wire_error *)0)->allowed };
+enum { ROUNDED_BYTES = 12, ALLOWED_BYTES = sizeof((wire_error *)0)->allowed };
 
 static wire_error check_media(const eval_request *request) {
   const uint32_t layers = request->fixed.layer_count;
@@ -264,13 +264,12 @@ wire_error choice_refusal(const struct choice_state *state, const eval_request *
   if (!(state->least > 0)) {
     return wire_error_none();
   }
-  char least[ROUNDED_BYTES], medium[24] = "", allowed[ALLOWED_BYTES];
+  char least[ROUNDED_BYTES], medium[23] = "", allowed[ALLOWED_BYTES];
   round_up(least, state->least);
   if (request->fixed.medium_count > 1) {
     snprintf(medium, sizeof medium, " for medium %" PRIu32, state->worst + 1);
   }
-  snprintf(allowed, sizeof allowed, "at least %s%s (best: transport, solved; else mc)", least,
-           medium);
+  snprintf(allowed, sizeof allowed, "at least %s%s (transport, solved; else mc)", least, medium);
   wire_error error = wire_error_make(WIRE_STATUS_BAD_VALUE, "tolerance", allowed);
   error.index = state->worst;
   return error;
