@@ -1,7 +1,6 @@
 #include "server/net/worker.h"
 
 #include <assert.h>
-#include <string.h>
 #include <sys/prctl.h>
 
 #include "server/jobs/run.h"
@@ -340,7 +339,6 @@ static int set_up_handles(struct worker *worker) {
 }
 
 int worker_open(struct worker *worker, struct server *server) {
-  memset(worker, 0, sizeof *worker);
   worker->server = server;
   STAILQ_INIT(&worker->inbox);
   TAILQ_INIT(&worker->arrived);

@@ -67,8 +67,8 @@ enum { WORKER_CLOCK_MOST_MS = 250 };
  * has been busy with a single turn. Any thread may call this. */
 uint64_t worker_silence_ms(const struct worker *workers, uint64_t count);
 
-/* Sets up a worker without a thread. The thread that runs its loop is the worker's thread. Returns
- * 0 or an error code of libuv. */
+/* Sets up a worker, whose bytes are 0, without a thread. The thread that runs its loop is the worker's
+ * thread. Other workers may look at its load at any time. Returns 0 or an error code of libuv. */
 int worker_open(struct worker *worker, struct server *server);
 
 /* Opens the worker and starts its thread. Returns 0 or an error code of libuv. */
