@@ -19,7 +19,7 @@ from beside import Beside
 from daemons import BUILD, HANG_S, Daemon, eventually, finished, sanitized
 from installing import npm_install
 
-TIMEOUT_S = 30
+TIMEOUT_S = 300
 SKIN = {"sigma_a": 0.032, "sigma_s": 0.74, "g": 0, "eta": 1.3}
 JSON = {"Content-Type": "application/json"}
 # The packages that npm fetches, if npm is installed: versions that are known to work.
