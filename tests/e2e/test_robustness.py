@@ -106,6 +106,7 @@ def test_a_flood_beyond_max_connections(daemon, descriptors):
     assert eventually(lambda: statistics(watcher)["connections_open"] == 1)
     before_bytes = one.resident_bytes()
     with watcher, others(one, known, 7) as others_go_on:
+        assert eventually(lambda: statistics(watcher)["connections_open"] == 8)
         told = 0
         for _ in range(10):
             flood = [one.connect(("unix", "tcp")[i % 2]) for i in range(100)]
