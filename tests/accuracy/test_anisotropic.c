@@ -285,6 +285,8 @@ static void expect_share(double ratio, double g, double eta, double NA, double x
     fail_msg("eta %g, NA %g, x %g: share %g, not %g within %g", eta, NA, x,
              fit_aperture_share(&row, log(x)), share, stated);
   }
+  /* that of a range is the largest in it */
+  assert_true(fit_aperture_error(&aperture, ratio, x, 3 * x) >= stated);
 }
 
 /* R of a walk that counts the light within a cone alone. It uses single precision and no Fourier

@@ -23,7 +23,7 @@ static const struct {
     {CORE_MODEL_BURLEY, {0.032, 0.74, 0, 1.3}},
     {CORE_MODEL_SKIN_RED, {0.032, 0.74, 0, 1.3}},
     {CORE_MODEL_EXTENDED, {1e-14, 1e-12, 0, 1.3}},
-    {CORE_MODEL_BEAM, {0.032, 0.74, 0, 1.3}},
+    {CORE_MODEL_BEAM, {0.024310505952361242, 1, 0, 1.3}}, /* keep_order_at_first_u() is needed */
     {CORE_MODEL_BEAM, {0, 1, 0, 1.3}},
     {CORE_MODEL_BETTER_SINGLE, {0.48, 1.01, 0.5, 1.4}},
     {CORE_MODEL_MULTIPOLE_TRANSMITTED, {0.032, 0.74, 0, 1.3}},

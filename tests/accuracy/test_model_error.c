@@ -134,6 +134,10 @@ UNIT_TEST(bands_have_the_largest_error_of_their_radii) {
     const core_radii_range inside = {1.1 * from, 0.9 * to};
     const double stated = core_model_errors_of(&errors, &medium, CORE_QUANTITY_R, inside);
     assert_true(stated >= all * (1 - 1e-6) && stated < 1.2 * all + 1e-3);
+    /* of R (1 + stated) over an albedo that is too small by its share */
+    const double albedo = core_model_errors_of(&errors, &medium, CORE_QUANTITY_ALBEDO, inside);
+    const double pdf = core_model_errors_of(&errors, &medium, CORE_QUANTITY_PDF, inside);
+    assert_true(albedo > 1e-3 && fabs((1 + stated) / (1 - albedo) - 1 - pdf) < 1e-14);
   }
   assert_true(
       isnan(core_model_errors_of(&errors, &medium, CORE_QUANTITY_R, (core_radii_range){0.005, 1})));

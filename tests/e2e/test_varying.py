@@ -44,7 +44,7 @@ def test_a_surface_is_prepared_once(daemon):
 def test_a_value_that_is_wrong_is_named_and_the_others_are_answered(client):
     nan = np.nan
     sigma_a = [0.1, -1, nan, 0.1, 0.1, 0.1, 0.1, np.inf, 0.1]
-    sigma_s = [1.0, 1.0, 1.0, -1, nan, 1e9, 1.0, 1.0, 1.0]
+    sigma_s = [1.0, -1, 1.0, -1, nan, 1e9, 1.0, 1.0, 1.0]
     r = [1.0, 1.0, 1.0, 1.0, 1.0, 1.0, -1, 1.0, nan]
     names = ["ok", "sigma_a", "sigma_a", "sigma_s", "sigma_s", "sigma_s", "radius", "sigma_a",
              "radius"]
