@@ -559,6 +559,10 @@ core_fault solver_layers_check(const solver_layer *layer, size_t count, double e
 /* Below this many times 1 / K, R and T are made of waves beyond K, which both grids guess. */
 #define GUESSED 4.0
 
+/* Behind layers T is noise beyond a smaller K than R is, and no grid sees there what is scattered a
+ * second time near the beam. T lacked up to .7 of what is scattered once. */
+#define SCATTERED_AGAIN 2.0
+
 /* Without a half space up to so many reduced mean free paths, and under an upper medium of less depth, which guides waves
  * beyond K, the grids' difference oscillates with the radius: so many radii are compared from each
  * stated one to the next. Only of guided waves would a finer grid have less of this. */
@@ -586,6 +590,7 @@ static void find_errors(solver_layers *of, double worst[SIDES]) {
   for (size_t side = 0; side < of->sides; side++) {
     const exitance_grid *known = &fine->wavenumbers[side];
     const double guessed = GUESSED / creal(known->point[known->panels]);
+    const bool is_cut = known->panels < fine->wavenumbers[0].panels;
     double size, above = 0, seen = 0, r = SOLVER_ERROR_LEAST;
     for (size_t i = 1; i < SOLVER_ERROR_RADII; i++) {
       r *= SOLVER_ERROR_RATIO;
@@ -601,6 +606,11 @@ static void find_errors(solver_layers *of, double worst[SIDES]) {
         const double off = solver_error_between(margin, value, other);
         error = fmax(error, off);
         some = j < counted ? fmax(some, off) : some;
+      }
+      if (is_cut && units < guessed) {
+        const double once = solver_ways_at(&fine->ways, side, units);
+        const double area = fine->unit_mm * fine->unit_mm;
+        error = fmax(error, SCATTERED_AGAIN * once / (area * value_at(fine, side, r_mm, &size)));
       }
       above = fmax(error, units < guessed ? above : 0);
       seen = fmax(some, units < guessed ? seen : 0);
