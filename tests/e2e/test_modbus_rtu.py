@@ -13,7 +13,7 @@ import termios
 import threading
 import time
 import tty
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -166,16 +166,18 @@ def test_the_tail_of_a_frame_of_another_is_no_frame(start):
 
 
 def test_broadcasts_are_carried_out_and_not_answered(start):
-    master, _ = start()
-    master.send(master.frame(0, struct.pack(">BHH", WRITE_REGISTER, 3, 99)))
-    assert master.is_silent()
-    assert as_words(master.read(3, 1, 7)) == [99]
-    master.send(master.frame(0, struct.pack(">BHHBB", 15, 0, 4, 1, 0b1011)))
-    assert master.is_silent()
-    assert master.ask(struct.pack(">BHH", 1, 0, 4), 7) == b"\1\x0b"
-    master.send(master.frame(0, struct.pack(">BHH", WRITE_REGISTER, AT["COMMIT"], 4)))
-    assert master.is_silent()
-    assert master.job(7)[:2] == (2, 4)
+    master, one = start()
+    with Tcp(one) as tcp:
+
+        def carried_out(pdu: bytes, seen: Callable[[], bool]) -> bool:
+            master.send(master.frame(0, pdu))
+            return eventually(seen) and master.is_silent()
+
+        number, coils = struct.pack(">BHH", WRITE_REGISTER, 3, 99), struct.pack(">BHHBB", 15, 0, 4, 1, 0b1011)
+        assert carried_out(number, lambda: as_words(tcp.read(3, 1, 7)) == [99])
+        assert carried_out(coils, lambda: tcp.ask(struct.pack(">BHH", 1, 0, 4), 7) == b"\1\x0b")
+        commit = struct.pack(">BHH", WRITE_REGISTER, AT["COMMIT"], 4)
+        assert carried_out(commit, lambda: tcp.job(7)[:2] == (2, 4))
     for pdu in (READ_ONE, struct.pack(">BHH", WRITE_REGISTER, 9900, 1), b"\x11"):
         master.send(master.frame(0, pdu))
         assert master.is_silent(0.05)
