@@ -101,7 +101,9 @@ unsigned core_name_distance(const char *a, const char *b) {
 }
 
 core_parameters core_parameters_none(void) {
-  static const core_parameters none = {.value = {[0 ... CORE_PARAMETERS_END - 1] = (double)NAN},
-                                       .layer_count = 1};
-  return none;
+  core_parameters parameters = {.layer_count = 1};
+  for (size_t i = 0; i < CORE_PARAMETERS_END; i++) {
+    parameters.value[i] = (double)NAN;
+  }
+  return parameters;
 }

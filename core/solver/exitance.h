@@ -52,9 +52,9 @@ typedef struct exitance_series {
 } exitance_series;
 
 /* Sets *to from X at all nodes. has_tail: whether X falls slowly beyond K; if not, what is left at
- * K goes on as k^-5. far: the limit of k^2 X. peak: 0, or the
- * wavenumber of a narrow peak of light that is scattered back. smooth: X itself, or the part of it that does not
- * fall exponentially, from which the tail is found. Returns false if an equation is singular. */
+ * K goes on as k^-5. far: the limit of k^2 X. peak: 0, or the wavenumber of a narrow peak of light that
+ * is scattered back. smooth: X itself, or the part of it that does not fall exponentially, from which the
+ * tail is found. Returns false if an equation is singular. */
 bool solver_exitance_make(exitance_series *to, const exitance_grid *of, bool has_tail, double far,
                           double peak, const double complex *smooth, const double complex *values);
 

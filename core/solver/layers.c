@@ -408,11 +408,8 @@ static bool solve_tier(const struct grid *of, const struct solver_layers *all, c
     fine_by++;
   }
   const expansion_boundaries boundary = {.count = 1, .etas = &of->layer[0].index};
-  expansion_rules rules = by->tier[tier].rules, fine_rules = fine_by->tier[tier].rules;
-  if (of->backward) {
-    rules.degrees = by->tier[TIERS - 1].rules.degrees;
-    fine_rules.degrees = fine_by->tier[TIERS - 1].rules.degrees;
-  }
+  expansion_rules rules = solver_rules_at(by, tier, of->backward);
+  const expansion_rules fine_rules = solver_rules_at(fine_by, tier, of->backward);
   rules.degrees += all->sides > 1 && by >= &levels[MORE_FROM] ? MORE_DEGREES : 0;
   stack *expanded = NULL;
   expansion *fine = NULL;

@@ -107,13 +107,19 @@ double solver_phase_at(const solver_phase *phase, double cosine) {
 
 /* Where light is scattered back: the moments for each degree of the functions of angle, and
  * exitance_series.peak times 1 - |g|. */
-#define BACKWARD (-0.6)
+#define SENT_BACK (-0.6) /* mean cosine below which that is */
 #define MOMENTS_BACKWARD 1.5
 #define PEAK_BACKWARD 1.6
 #define PEAK_FROM (-0.75) /* mean cosine below which X has it */
 
 bool solver_is_backward(const solver_phase *phase) {
-  return solver_moment_at(phase, 1) < BACKWARD;
+  return solver_moment_at(phase, 1) < SENT_BACK;
+}
+
+expansion_rules solver_rules_at(const struct level *level, size_t tier, bool backward) {
+  expansion_rules rules = level->tier[tier].rules;
+  rules.degrees = level->tier[backward ? TIERS - 1 : tier].rules.degrees;
+  return rules;
 }
 
 double solver_peak_at(const solver_phase *phase) {

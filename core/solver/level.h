@@ -70,6 +70,9 @@ bool solver_stops(const atomic_bool *stop);
 /* Returns whether so much light is scattered back that each tier needs as many degrees as the last. */
 bool solver_is_backward(const solver_phase *phase);
 
+/* Returns the rules of a tier. backward: whether light is scattered back, in any layer. */
+expansion_rules solver_rules_at(const struct level *level, size_t tier, bool backward);
+
 /* Returns exitance_series.peak, per scaled mean free path. */
 double solver_peak_at(const solver_phase *phase);
 

@@ -102,10 +102,7 @@ struct way {
 static bool solve_tier(struct grid *of, const core_isa *isa, const struct level *by, size_t tier,
                        const solver_phase *phase, const expansion_boundaries *boundaries,
                        double complex **values, const struct way *way) {
-  expansion_rules rules = by->tier[tier].rules;
-  if (solver_is_backward(phase)) {
-    rules.degrees = by->tier[TIERS - 1].rules.degrees;
-  }
+  const expansion_rules rules = solver_rules_at(by, tier, solver_is_backward(phase));
   expansion *expanded = solver_expansion_new(isa, &rules, &of->scaled.medium, boundaries);
   bool ok = expanded != NULL;
   const size_t end = solver_exitance_end(&of->wavenumbers, tier);

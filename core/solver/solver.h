@@ -43,10 +43,9 @@ typedef struct solver_solution solver_solution;
  * processor for a tolerance of 1e-2, 0.3 to 1 s for 1e-3 and 3.5 s or more for 1e-4; the most that
  * they take is 2.5, 6.5 (g below -0.6) and 14 s. sigma_a_ratio: sigma_a / (sigma_s (1 - g)), 0 to
  * 1000. etas: index inside over index outside, TRANSPORT_ETA_MIN to TRANSPORT_ETA_MAX, 1 to
- * SOLVER_ETAS_MAX of them.
- * tolerance: not negative, finite. Faults: `sigma_a_ratio`, `phase`, `eta`, `tolerance`, `memory`. On a fault
- * *solution is NULL. Otherwise the caller owns it and frees it with solver_free(), which accepts
- * NULL. */
+ * SOLVER_ETAS_MAX of them. tolerance: not negative, finite. Faults: `sigma_a_ratio`, `phase`, `eta`,
+ * `tolerance`, `memory`. On a fault *solution is NULL. Otherwise the caller owns it and frees it with
+ * solver_free(), which accepts NULL. */
 core_fault solver_solve(solver_solution **solution, const core_isa *isa, double sigma_a_ratio,
                         const solver_phase *phase, const double *etas, size_t count,
                         double tolerance);

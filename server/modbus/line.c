@@ -104,10 +104,10 @@ static const char *read_part(struct modbus_device *device, const char *text, uns
 static bool read_url(struct modbus_device *device, const char *url) {
   char text[URL_BYTES];
   char *rest = text;
-  const char *wrong = NULL;
   unsigned place = 0;
   *device = (struct modbus_device){.baud = 19200, .parity = 'E', .stop_bits = 1, .number = 1};
-  snprintf(text, sizeof text, "%s", url + strlen("rtu:")); /* what is right is shorter */
+  const int length = snprintf(text, sizeof text, "%s", url + strlen("rtu:"));
+  const char *wrong = length < (int)sizeof text ? NULL : read_path(device, "");
   while (wrong == NULL && rest != NULL) {
     wrong = read_part(device, strsep(&rest, ","), &place);
   }

@@ -7,7 +7,11 @@
 #include "proto/schema.h"
 #include "server/store/media.h"
 
-enum { NAME_BYTES = 64 };
+enum {
+  LINKS_MAX = 24,      /* most fields of a structure that have registers */
+  STRUCTURES_MAX = 32, /* most structures of requests and replies */
+  NAME_BYTES = 64,
+};
 
 _Static_assert(WIRE_BYTES_eval_reply + sizeof(double) + 6 * WIRE_BYTES_quantity_error +
                        4 * REGISTERS_RADII_MAX * sizeof(double) <=
@@ -24,13 +28,44 @@ static const schema_message *message_of(enum registers_job_kind kind) {
   return message;
 }
 
-/* Returns the registers of a structure's field, by its name behind a prefix; NULL if it has none. */
-static const registers_field *registers_of(enum registers_job_kind kind, const char *prefix,
-                                           const schema_field *field, bool is_result) {
-  char name[NAME_BYTES];
-  snprintf(name, sizeof name, "%s%s", prefix, field->name);
-  const registers_field *found = registers_named(&registers_jobs[kind], name, is_result);
-  return found != NULL && found->address != registers_jobs[kind].status ? found : NULL;
+/* The fields of a structure that have registers of their names. */
+struct links {
+  enum registers_job_kind kind;
+  const schema_structure *structure;
+  const char *prefix; /* prefix of the registers' names */
+  bool are_results;
+  unsigned count;
+  struct link {
+    const schema_field *field;
+    size_t at; /* offset of the field in the structure */
+    const registers_field *registers;
+  } items[LINKS_MAX];
+};
+
+/* Finds these links, once for each structure: all units belong to one thread. */
+static const struct links *links_of(enum registers_job_kind kind, const schema_structure *structure,
+                                    const char *prefix, bool are_results) {
+  static struct links all[STRUCTURES_MAX];
+  struct links *links = all;
+  for (; links->structure != NULL; links++) {
+    if (links->kind == kind && links->structure == structure && links->prefix == prefix) {
+      return links;
+    }
+  }
+  assert(links < all + STRUCTURES_MAX - 1);
+  *links = (struct links){kind, structure, prefix, are_results, 0, {{0}}};
+  size_t at = 0;
+  for (const schema_field *field = structure->fields; field->name != NULL; field++) {
+    char name[NAME_BYTES];
+    snprintf(name, sizeof name, "%s%s", prefix, field->name);
+    const registers_field *found = registers_named(&registers_jobs[kind], name, are_results);
+    if (found != NULL && found->address != registers_jobs[kind].status) {
+      assert(links->count < LINKS_MAX);
+      links->items[links->count++] = (struct link){field, at, found};
+    }
+    at += field->bytes;
+  }
+  return links;
 }
 
 /* ---- input ----------------------------------------------------------------------------------- */
@@ -52,15 +87,14 @@ static double number_of(const uint16_t image[REGISTERS_END], const registers_fie
 static void put_fields(enum registers_job_kind kind, const schema_structure *structure,
                        const char *prefix, const uint16_t image[REGISTERS_END], unsigned index,
                        uint8_t *to) {
-  for (const schema_field *field = structure->fields; field->name != NULL; field++) {
-    const registers_field *from = registers_of(kind, prefix, field, false);
-    if (from != NULL) {
-      const double number = number_of(image, from, index);
-      const uint64_t integer = field->kind == SCHEMA_f64 ? 0 : (uint64_t)number;
-      memcpy(to, field->kind == SCHEMA_f64 ? (const void *)&number : (const void *)&integer,
-             field->bytes);
-    }
-    to += field->bytes;
+  const struct links *links = links_of(kind, structure, prefix, false);
+  for (unsigned i = 0; i < links->count; i++) {
+    const struct link *link = &links->items[i];
+    const double number = number_of(image, link->registers, index);
+    const uint64_t integer = link->field->kind == SCHEMA_f64 ? 0 : (uint64_t)number;
+    memcpy(to + link->at,
+           link->field->kind == SCHEMA_f64 ? (const void *)&number : (const void *)&integer,
+           link->field->bytes);
   }
 }
 
@@ -279,23 +313,23 @@ static float rounded_up(double bound) {
 static void set_fields(enum registers_job_kind kind, const schema_structure *structure,
                        const char *prefix, const uint8_t *from, unsigned index,
                        uint16_t image[REGISTERS_END]) {
-  for (const schema_field *field = structure->fields; field->name != NULL; field++) {
-    const registers_field *to = registers_of(kind, prefix, field, true);
-    const size_t bytes = field->bytes / field->count;
-    for (unsigned k = 0; to != NULL && k < field->count; k++) {
+  const struct links *links = links_of(kind, structure, prefix, true);
+  for (unsigned i = 0; i < links->count; i++) {
+    const struct link *link = &links->items[i];
+    const size_t bytes = link->field->bytes / link->field->count;
+    for (unsigned k = 0; k < link->field->count; k++) {
+      const uint8_t *at = from + link->at + k * bytes;
       uint64_t integer = 0;
       double number = 0;
-      memcpy(field->kind == SCHEMA_f64 ? (void *)&number : (void *)&integer, from + k * bytes,
-             bytes);
-      if (to->type != REGISTERS_F32) {
-        registers_set_u16(image, to->address + index, (unsigned)integer);
+      memcpy(link->field->kind == SCHEMA_f64 ? (void *)&number : (void *)&integer, at, bytes);
+      if (link->registers->type != REGISTERS_F32) {
+        registers_set_u16(image, link->registers->address + index, (unsigned)integer);
       } else {
-        registers_set_f32(image, to->address + 2 * (index + k),
-                          strstr(field->name, "error") != NULL ? rounded_up(number)
-                                                               : (float)number);
+        registers_set_f32(image, link->registers->address + 2 * (index + k),
+                          strstr(link->field->name, "error") != NULL ? rounded_up(number)
+                                                                     : (float)number);
       }
     }
-    from += field->bytes;
   }
 }
 

@@ -54,11 +54,10 @@ struct transport {
   bool reading;
   bool lingering; /* see transport_linger() */
   bool has_more;  /* with TLS: whether OpenSSL may hold bytes for which there was no time or room */
-  bool tells_empty; /* TLS only: see transport_drain() */
-  bool blocked;     /* with TLS: whether reading waits until the socket can be written to */
-  int events;       /* TLS only: events for which the poll waits */
-  struct worker
-      *next; /* the worker that takes the connection over as soon as its handle is closed */
+  bool tells_empty;    /* TLS only: see transport_drain() */
+  bool blocked;        /* with TLS: whether reading waits until the socket can be written to */
+  int events;          /* TLS only: events for which the poll waits */
+  struct worker *next; /* takes the connection over as soon as its handle is closed */
 
   uv_buf_t unsent;    /* what transport_send() has still to write */
   bool peer_done;     /* whether the peer has shut down its side, so that nothing more arrives */

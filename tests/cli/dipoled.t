@@ -125,6 +125,9 @@ $ export DIPOLED_LISTEN=unix:w DIPOLED_LOG_LEVEL=error; for one in 127.0.0.1:502
 ! dipoled: cannot listen at unix:/nonexistent: Modbus is served at tcp:HOST:PORT, tls:HOST:PORT or rtu:DEVICE[,BAUD[,PARITY[,UNIT]]]
 ! dipoled: --modbus rtu:,9600: the form is rtu:DEVICE[,BAUD[,PARITY[,UNIT]]][,rts=high|low][,rts-delay-ms=N]
 
+$ dipoled --log-level error --listen unix:w --modbus "rtu:/dev/null,19200$(printf ',rts=low%.0s' $(seq 62)),rts=up" 2>&1 | sed 's/.*up: //'
+the form is rtu:DEVICE[,BAUD[,PARITY[,UNIT]]][,rts=high|low][,rts-delay-ms=N]
+
 $ export DIPOLED_LISTEN=unix:w DIPOLED_LOG_LEVEL=error; for one in 9601,N 9600,X 9600,N,0 9600,N,248 9600,N,1,2 9600,N3 9600,N,rts=up 9600,N,1,rts=high,rts-delay-ms=1001 9600,N,1,rts-delay-ms=1; do dipoled --modbus "rtu:/dev/null,$one" || echo $?; done
 1
 1
