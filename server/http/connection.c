@@ -11,8 +11,7 @@
 #include "server/http/page.h"
 #include "server/http/reply.h"
 #include "server/http/request.h"
-#include "server/jobs/points.h"
-#include "server/jobs/run.h"
+#include "server/jobs/call.h"
 #include "server/net/worker.h"
 #include "server/observe/health.h"
 
@@ -50,21 +49,14 @@ struct http_connection {
   unsigned refused;  /* the status of HTTP by which the header or the body is refused; 0: none */
   wire_error refusal;
   struct route route;
-  struct text query;   /* of the URI, with a zero byte behind it; empty if there is none */
-  struct text body;    /* body of the request, as far as it has arrived */
-  struct text payload; /* payload of the same request in the binary protocol */
-  struct text reply;   /* payload of its reply */
-  bool g_is_default;   /* whether the request left g out */
-  struct text text;    /* the body of the reply, which libmicrohttpd sends from here */
-
-  struct run run;
-  uint64_t arrived_ns;   /* when the request had arrived */
-  struct points *points; /* the set that this connection sends; NULL: none */
-  wire_error error;      /* by which the job was refused; OK: the reply is complete */
+  struct text query; /* of the URI, with a zero byte behind it; empty if there is none */
+  struct text body;  /* body of the request, as far as it has arrived */
+  struct call call;  /* the same request in the binary protocol */
+  bool g_is_default; /* whether the request left g out */
+  struct text text;  /* the body of the reply, which libmicrohttpd sends from here */
 };
 
 static const struct client_kind kind;
-static const struct run_sink sink;
 
 static struct http_connection *connection_of(struct client *client) {
   return (struct http_connection *)(void *)client;
@@ -82,10 +74,6 @@ static const struct options *options_of(const struct http_connection *c) {
   return &c->host->server->options;
 }
 
-static wire_error buffers_full(void) {
-  return wire_error_busy("max_total_bytes", "less data at a time: the buffers are full", 1000);
-}
-
 /* ---- beginning and end ----------------------------------------------------------------------- */
 
 static void open_connection(struct http_host *host, struct MHD_Connection *handle, void **to) {
@@ -100,10 +88,8 @@ static void open_connection(struct http_host *host, struct MHD_Connection *handl
   c->fd = MHD_get_connection_info(handle, MHD_CONNECTION_INFO_CONNECTION_FD)->connect_fd;
   text_init(&c->query, &host->buffers);
   text_init(&c->body, &host->buffers);
-  text_init(&c->payload, &host->buffers);
-  text_init(&c->reply, &host->buffers);
+  call_init(&c->call, &c->client, &host->buffers, true);
   text_init(&c->text, &host->buffers);
-  run_init(&c->run, &sink, c);
   host->connection_count++;
   worker_adopt(host->worker, &c->client);
   c->since_ms = now_ms(c);
@@ -112,15 +98,13 @@ static void open_connection(struct http_host *host, struct MHD_Connection *handl
 static void forget_request(struct http_connection *c) {
   text_free(&c->body);
   text_reset(&c->query);
-  text_reset(&c->payload);
-  text_reset(&c->reply);
+  call_drop(&c->call);
   text_reset(&c->text);
 }
 
 static void free_texts(struct http_connection *c) {
   text_free(&c->query);
-  text_free(&c->payload);
-  text_free(&c->reply);
+  call_free(&c->call);
   text_free(&c->text);
 }
 
@@ -277,121 +261,45 @@ static wire_error too_large(const struct http_connection *c, const char *field) 
   return wire_error_make(WIRE_STATUS_TOO_LARGE, field, allowed);
 }
 
-/* Frees what has become the text of a reply, if it is much, so that a slow reader holds the text
- * alone. */
-static void free_payloads(struct http_connection *c) {
-  text_reset(&c->payload);
-  text_reset(&c->reply);
-  text_trim(&c->text);
-}
-
 static void write_reply(struct http_connection *c) {
-  const uint8_t *payload = (const uint8_t *)c->reply.bytes;
+  const uint8_t *payload = (const uint8_t *)c->call.reply.bytes;
   if (c->route.kind == LISTS) {
     http_reply_write_models(payload, &c->text);
   } else if (c->route.kind == MEDIA) {
     http_reply_write_media(payload, &c->text);
   } else {
-    http_reply_write(c->route.message, (const uint8_t *)c->payload.bytes, c->g_is_default, payload,
-                     c->reply.count, &c->text);
+    http_reply_write(c->route.message, (const uint8_t *)c->call.payload.bytes, c->g_is_default,
+                     payload, c->call.reply.count, &c->text);
   }
 }
 
-/* Sends the reply, or the refusal, of a job that has ended. */
+/* Sends the reply, or the refusal, of a job that has ended. A slow reader holds its text alone. */
 static enum MHD_Result send_reply(struct http_connection *c) {
-  const bool refused = c->error.status != WIRE_STATUS_OK;
+  wire_error error = c->call.error;
+  const bool refused = error.status != WIRE_STATUS_OK;
   if (!refused) {
     write_reply(c);
-    c->error = buffers_full(); /* if writing the reply failed */
+    error = job_busy(); /* if writing the reply failed */
   }
-  free_payloads(c);
-  return refused || c->text.failed ? send_error(c, &c->error, 0) : send_text(c, MHD_HTTP_OK, 0);
+  call_drop(&c->call);
+  text_trim(&c->text);
+  return refused || c->text.failed ? send_error(c, &error, 0) : send_text(c, MHD_HTTP_OK, 0);
 }
 
 /* ---- the job --------------------------------------------------------------------------------- */
 
-/* Returns the field that makes a reply too large: that counts the first list of the request. */
-static const char *size_field(const struct http_connection *c) {
-  const schema_message *message = c->route.message;
-  const schema_part *part = message != NULL ? message->request->parts : NULL;
-  while (part != NULL && part->name != NULL &&
-         (part->about == NULL || part->count[0].name == NULL)) {
-    part++;
-  }
-  return part == NULL || part->name == NULL                ? "tolerance"
-         : strcmp(part->count[0].name, "part_points") == 0 ? "point_count"
-                                                           : part->count[0].name;
-}
-
-/* A reply is one part, up to max_part_bytes. */
-static uint8_t *reserve_reply(void *owner, const struct job *job, wire_error *error) {
-  struct http_connection *c = owner;
-  if (c->reply.count > 0 || job->part_bytes > options_of(c)->max_part_bytes) {
-    *error = too_large(c, size_field(c));
-    return NULL;
-  }
-  char *room = text_room(&c->reply, (size_t)job->part_bytes);
-  c->reply.count = room != NULL ? (size_t)job->part_bytes : 0;
-  *error = buffers_full();
-  return (uint8_t *)room;
-}
-
-static void wake_connection(void *owner) {
-  struct http_connection *c = owner;
-  worker_run_later(&c->client);
-}
-
-/* A request sends a set of points whole, or not at all. */
-static void drop_points(struct http_connection *c) {
-  points_release(c->points);
-  c->points = NULL;
-}
-
-static void end_run(struct run *run, const wire_error *refusal) {
-  struct http_connection *c = run->owner;
-  drop_points(c);
-  c->error = refusal != NULL ? *refusal : wire_error_none();
-  stats_count_reply(&c->host->server->stats, c->error.status);
-  latency_note(c->host->worker->context.latency, run->latency, c->arrived_ns);
-}
-
-static const struct run_sink sink = {
-    .reserve = reserve_reply, .wake = wake_connection, .end = end_run};
-
-/* Makes the worker give the job its next turn, or wake it at its deadline. */
-static void go_on(struct http_connection *c) {
-  if (c->run.state == RUN_GOES_ON) {
-    worker_run_later(&c->client);
-  } else if (c->run.deadline_ms != 0) {
-    worker_wake_at(c->host->worker, c->run.deadline_ms);
-  }
-}
-
 /* Starts the job of the payload. The reply is sent at once, or when the job is done. */
 static enum MHD_Result start_job(struct http_connection *c, enum wire_type type,
                                  uint32_t deadline_ms) {
-  struct worker *worker = c->host->worker;
-  const wire_header header = {.type = (uint16_t)type, .payload_bytes = (uint32_t)c->payload.count};
-  const struct job_type *message = job_type_of(type);
-  struct job_request request = {.type = message,
-                                .header = &header,
-                                .payload = (const uint8_t *)c->payload.bytes,
-                                .context = &worker->context,
-                                .profiles = &c->client.profiles,
-                                .whole = true,
-                                .points = &c->points};
   uint64_t budget = JOB_SLICE_RADII;
-  c->arrived_ns = worker_round_ns(worker);
-  stats_add(&c->host->server->stats, message->requests, 1);
-  run_start(&c->run, &request, deadline_ms > 0 ? c->arrived_ns / 1000000 + deadline_ms : 0);
-  run_on(&c->run, &budget);
-  if (c->run.state == RUN_IDLE) {
-    batch_finish(&worker->context.batch, &c->host->server->stats);
+  call_start(&c->call, type, &c->client.profiles, deadline_ms);
+  call_on(&c->call, &budget);
+  if (call_take_end(&c->call)) {
+    batch_finish(&c->host->worker->context.batch, &c->host->server->stats);
     return send_reply(c);
   }
   c->state = RUNS;
   MHD_suspend_connection(c->handle);
-  go_on(c);
   return MHD_YES;
 }
 
@@ -402,8 +310,7 @@ static void resume(struct http_connection *c, enum state state) {
 }
 
 static void give_up(struct http_connection *c) {
-  run_drop(&c->run);
-  drop_points(c);
+  call_drop(&c->call);
   resume(c, GIVEN_UP);
 }
 
@@ -446,10 +353,11 @@ static wire_error translate(struct http_connection *c, uint32_t *deadline_ms) {
   const struct text *from = c->has_body ? &c->body : &c->query;
   const wire_error error =
       c->query.failed
-          ? buffers_full()
-          : http_request_translate(
-                c->route.message, from->count > 0 ? from->bytes : none, from->count, !c->has_body,
-                &c->payload, (size_t)options_of(c)->max_part_bytes, deadline_ms, &c->g_is_default);
+          ? job_busy()
+          : http_request_translate(c->route.message, from->count > 0 ? from->bytes : none,
+                                   from->count, !c->has_body, &c->call.payload,
+                                   (size_t)options_of(c)->max_part_bytes, deadline_ms,
+                                   &c->g_is_default);
   text_free(&c->body);
   return error;
 }
@@ -490,7 +398,7 @@ static enum MHD_Result handle_request(struct http_connection *c) {
   case LISTS: {
     uint8_t bytes[WIRE_BYTES_hello_request];
     wire_put_hello_request(bytes, &hello);
-    text_add(&c->payload, (const char *)bytes, sizeof bytes);
+    text_add(&c->call.payload, bytes, sizeof bytes);
     return start_job(c, WIRE_TYPE_HELLO, 0);
   }
   case MEDIA:
@@ -600,7 +508,7 @@ static enum MHD_Result take_body(struct http_connection *c, const char *body, si
     text_free(&c->body);
   }
   if (c->body.failed) {
-    c->refusal = buffers_full();
+    c->refusal = job_busy();
     c->refused = wire_status_of(c->refusal.status)->http;
   }
   *body_bytes = 0;
@@ -644,27 +552,19 @@ enum MHD_Result http_connection_take(void *context, struct MHD_Connection *conne
 static void run_turn(struct client *client) {
   struct http_connection *c = connection_of(client);
   uint64_t budget = JOB_SLICE_RADII;
-  if (c->state == RUNS) {
-    run_on(&c->run, &budget);
-  }
+  call_on(&c->call, &budget);
 }
 
 static void finish_turn(struct client *client) {
   struct http_connection *c = connection_of(client);
-  if (c->state == RUNS && c->run.state == RUN_IDLE) {
+  if (c->state == RUNS && call_take_end(&c->call)) {
     resume(c, READY);
-  } else if (c->state == RUNS) {
-    go_on(c);
   }
 }
 
 static void expire_request(struct client *client) {
   struct http_connection *c = connection_of(client);
-  if (c->state == RUNS && run_expire(&c->run)) {
-    worker_run_later(client);
-  } else if (c->state == RUNS) {
-    go_on(c);
-  }
+  call_expire(&c->call);
 }
 
 /* Returns whether the peer has closed its side. The library does not look while a job runs. */
@@ -681,8 +581,7 @@ static void check_time(struct client *client, uint64_t at_ms) {
     give_up(c);
   }
   if (c->state == REPLIED) { /* Releases them: a slow reader does not need them. */
-    text_free(&c->payload);
-    text_free(&c->reply);
+    call_free(&c->call);
   }
   if (c->state != AWAITS && c->state != RECEIVES) {
     return;

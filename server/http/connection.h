@@ -1,6 +1,6 @@
 /* connection: one HTTP connection, whose requests are served one after the other.
  *
- * A request becomes the payload of a message, whose job server/jobs/run.h runs: so HTTP has the limits,
+ * A request becomes the payload of a message, whose job server/jobs/call.h runs: so HTTP has the limits,
  * shares, deadlines and errors of the binary protocol. Most requests are served at
  * once. The others go on in the turns of the connection, as a client of the worker
  * (server/net/client.h), while the library leaves the connection alone.

@@ -13,6 +13,7 @@
 #include "proto/gather.h"
 #include "proto/schema.h"
 #include "proto/varying.h"
+#include "server/jobs/job.h"
 #include "server/store/media.h"
 
 /* The same default in all clients. */
@@ -68,10 +69,6 @@ static void *allocate(size_t bytes) {
   return memory;
 }
 
-static wire_error no_memory(void) {
-  return wire_error_busy("max_total_bytes", "less data at a time: there is no memory", 1000);
-}
-
 /* Reads a JSON text: one object without a key that comes twice. The caller releases it by
  * json_decref(). On failure, sets *error and returns NULL. */
 static json_t *parse_json(const char *bytes, size_t count, size_t brackets_max, wire_error *error) {
@@ -92,7 +89,7 @@ static json_t *parse_json(const char *bytes, size_t count, size_t brackets_max, 
   snprintf(allowed, sizeof allowed, "JSON (RFC 8259), which it is not at line %d: %.*s", why.line,
            (int)(quoted != NULL ? quoted - why.text : (ptrdiff_t)strlen(why.text)), why.text);
   *error =
-      lacks_memory ? no_memory() : bad_value("body", object != NULL ? "a JSON object" : allowed);
+      lacks_memory ? job_busy() : bad_value("body", object != NULL ? "a JSON object" : allowed);
   json_decref(object);
   return NULL;
 }
@@ -162,14 +159,14 @@ static wire_error add_pair(json_t *object, char *pair) {
                      "each name once: a list has commas, as in r=0.5,1,2; layers need POST");
   }
   return json_object_set_new_nocheck(object, pair, make_value(text, count)) == 0 ? wire_error_none()
-                                                                                 : no_memory();
+                                                                                 : job_busy();
 }
 
 /* Reads what follows the "?" of a URI, likewise: NAME=VALUE with & between them, where commas separate
  * the elements of a list. Values are texts, or arrays of texts. Changes the text. */
 static json_t *parse_query(char *query, wire_error *error) {
   json_t *object = json_object();
-  *error = object != NULL ? wire_error_none() : no_memory();
+  *error = object != NULL ? wire_error_none() : job_busy();
   for (char *pair; error->status == WIRE_STATUS_OK && (pair = strsep(&query, "&")) != NULL;) {
     if (*pair != '\0') {
       *error = add_pair(object, pair);
@@ -345,8 +342,7 @@ static uint8_t *add_bytes(struct translation *t, size_t bytes) {
   }
   char *at = text_room(t->payload, bytes);
   if (at == NULL) {
-    fail_with(t, wire_error_busy("max_total_bytes",
-                                 "less data at a time: max_total_bytes are in use", 1000));
+    fail_with(t, job_busy());
     return NULL;
   }
   memset(at, 0, bytes);

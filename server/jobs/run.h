@@ -1,6 +1,6 @@
 /* run: one job under way, from its start to its last part or its refusal, whoever requests it: a
- * connection of the binary protocol, an HTTP request or a Modbus unit. That one is the sink, which has
- * room for the parts and is told of the end. The run knows deadlines and how to give a job up; the
+ * connection of the binary protocol, or a call (server/jobs/call.h) of HTTP, SCPI or a Modbus unit. That
+ * one is the sink, which has room for the parts and is told of the end. The run knows deadlines and how to give a job up; the
  * sink knows turns. Call all functions on the worker's thread.
  */
 #ifndef DIPOLED_RUN_H

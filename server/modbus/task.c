@@ -1,9 +1,6 @@
 #include "server/modbus/task.h"
 
-#include <assert.h>
-
 #include "server/net/worker.h"
-#include "server/observe/health.h"
 #include "server/store/media.h"
 
 static const registers_job *fields_of(const struct modbus_task *task) {
@@ -42,164 +39,107 @@ static void set_progress(struct modbus_task *task, double progress) {
 }
 
 void modbus_task_refresh(struct modbus_task *task) {
-  if (task->run.state != RUN_IDLE && task->owed_radii > 0) {
-    set_progress(task, 1 - (double)task->run.job->owed_radii / (double)task->owed_radii);
+  if (task->call.state == CALL_RUNS && task->owed_radii > 0) {
+    set_progress(task, 1 - (double)task->call.run.job->owed_radii / (double)task->owed_radii);
   }
 }
 
 /* ---- running --------------------------------------------------------------------------------- */
 
-static uint8_t *reserve_reply(void *owner, const struct job *job, wire_error *error) {
-  struct modbus_task *task = owner;
-  (void)error;
-  assert(job->part_bytes <= MODBUS_REPLY_BYTES);
-  task->reply_bytes = (size_t)job->part_bytes;
-  return task->reply;
+/* Writes the reply, or a report of progress, into the registers. */
+static enum registers_status take_reply(struct modbus_task *task, wire_error *error) {
+  return modbus_translate_reply(task->kind, (const uint8_t *)task->call.payload.bytes,
+                                (const uint8_t *)task->call.reply.bytes, task->call.reply.count,
+                                task->registers, error);
 }
 
-/* A part that is not the last one is a report of progress. */
-static void commit_reply(void *owner, bool last) {
-  struct modbus_task *task = owner;
-  if (!last) {
-    modbus_translate_reply(task->kind, task->request, task->reply, task->reply_bytes,
-                           task->registers, NULL);
-  }
+static void take_report(struct call *call) {
+  wire_error error;
+  take_reply((struct modbus_task *)(void *)call, &error);
 }
 
-static void wake_task(void *owner) {
-  worker_run_later(((struct modbus_task *)owner)->client);
-}
-
-static void end_run(struct run *run, const wire_error *refusal) {
-  struct modbus_task *task = run->owner;
-  task->error = refusal != NULL ? *refusal : wire_error_none();
-  health_note_refusal(task->server, &task->error);
-}
-
-static const struct run_sink sink = {
-    .reserve = reserve_reply, .commit = commit_reply, .wake = wake_task, .end = end_run};
-
-/* Runs the job until the budget is spent, the job waits, or it ends. Returns the reason why it has
- * failed, or OK. */
-static wire_error run_job(struct modbus_task *task, uint64_t *budget) {
-  run_on(&task->run, budget);
-  if (modbus_task_runs(task)) {
-    worker_run_later(task->client);
-  } else if (task->run.state == RUN_IDLE && task->error.status == WIRE_STATUS_OK) {
-    task->evaluated = true;
-    worker_finish_later(task->client);
-  } else if (task->run.state == RUN_IDLE) {
-    task->evaluated = false;
-    return task->error;
-  }
-  return wire_error_none();
-}
-
-static void fail_job(struct modbus_task *task, wire_error error) {
-  const unsigned at = registers_of_error(fields_of(task), &error);
-  modbus_task_fail(task, &error, at);
+void modbus_task_init(struct modbus_task *task, enum registers_job_kind kind, uint16_t *registers,
+                      struct client *client, struct budget *buffers) {
+  *task = (struct modbus_task){.kind = kind, .registers = registers};
+  call_init(&task->call, client, buffers, false);
+  task->call.report = take_report;
 }
 
 /* ---- committing and cancelling --------------------------------------------------------------- */
 
-/* Returns whether the job ends with its results so far if it is cancelled: Monte Carlo. */
-static bool may_stop(const struct modbus_task *task) {
-  return task->run.state != RUN_IDLE && task->run.job->kind->stop != NULL;
-}
-
-static uint64_t deadline_of(const struct modbus_task *task) {
+static uint64_t limit_ms(const struct modbus_task *task) {
   const registers_job *fields = fields_of(task);
   const double limit_ms =
       fields->deadline > 0 ? registers_number(task->registers, fields->deadline) : 0;
-  return limit_ms > 0 ? worker_round_ns(task->client->worker) / 1000000 + (uint64_t)limit_ms : 0;
+  return limit_ms > 0 ? (uint64_t)limit_ms : 0;
 }
 
-/* Makes the worker call check_deadlines() of the units when there is something to do. */
+/* Makes the worker call check_deadlines() of the units when nobody has read for too long. */
 static void watch_task(const struct modbus_task *task, uint64_t named_ms) {
-  struct worker *worker = task->client->worker;
-  if (task->run.deadline_ms != 0) {
-    worker_wake_at(worker, task->run.deadline_ms);
-  }
-  if (may_stop(task) && !task->cancelled) {
-    worker_wake_at(worker, named_ms + task->server->options.modbus_idle_timeout_ms);
+  struct worker *worker = task->call.client->worker;
+  if (call_may_stop(&task->call) && !task->cancelled) {
+    worker_wake_at(worker, named_ms + worker->server->options.modbus_idle_timeout_ms);
   }
 }
 
 wire_error modbus_task_commit(struct modbus_task *task, struct client *master) {
-  struct worker *worker = task->client->worker;
+  struct call *call = &task->call;
+  uint64_t budget = JOB_SLICE_RADII;
   size_t media_count;
   media_all(&media_count);
   if (registers_u16(task->registers, REGISTERS_AT_PRESET) > 3 * media_count) {
     return wire_error_make(WIRE_STATUS_BAD_VALUE, "preset", "0, or a row of `dipole media`");
   }
-  const wire_header header = {
-      .type = (uint16_t)fields_of(task)->message,
-      .payload_bytes = (uint32_t)modbus_translate_input(task->kind, task->registers, task->request),
-  };
-  struct job_request request = {
-      .type = job_type_of(header.type),
-      .header = &header,
-      .payload = task->request,
-      .context = &worker->context,
-      .profiles = &master->profiles,
-  };
-  uint64_t budget = JOB_SLICE_RADII;
-  task->cancelled = false;
-  run_init(&task->run, &sink, task);
-  run_start(&task->run, &request, deadline_of(task));
-  task->owed_radii = task->run.state != RUN_IDLE ? task->run.job->owed_radii : 0;
-  const wire_error error = run_job(task, &budget);
-  if (error.status != WIRE_STATUS_OK) {
-    return error;
+  if (!modbus_translate_input(task->kind, task->registers, &call->payload)) {
+    return job_busy();
   }
-  watch_task(task, uv_now(&worker->loop));
+  task->cancelled = false;
+  call_start(call, fields_of(task)->message, &master->profiles, limit_ms(task));
+  task->owed_radii = call->state == CALL_RUNS ? call->run.job->owed_radii : 0;
+  call_on(call, &budget);
+  if (call->state == CALL_ENDS && call->error.status != WIRE_STATUS_OK) {
+    call_take_end(call);
+    return call->error;
+  }
+  watch_task(task, uv_now(&call->client->worker->loop));
   task->token = registers_u16(task->registers, fields_of(task)->commit);
   clear_error(task);
   set_progress(task, 0);
-  if (!task->evaluated) {
+  if (call->state == CALL_RUNS) {
     set_status(task, REGISTERS_STATUS_BUSY);
   }
-  return error;
+  return wire_error_none();
 }
 
 void modbus_task_move(struct modbus_task *task, struct client *from, struct client *to) {
-  if (task->run.state != RUN_IDLE && task->run.job->owner == &from->profiles) {
-    task->run.job->owner = &to->profiles;
+  if (task->call.state == CALL_RUNS && task->call.run.job->owner == &from->profiles) {
+    task->call.run.job->owner = &to->profiles;
   }
 }
 
 void modbus_task_cancel(struct modbus_task *task) {
-  if (may_stop(task)) {
-    task->cancelled = true;
-    task->run.job->kind->stop(task->run.job, JOB_CANCELLED);
-  } else if (task->run.state != RUN_IDLE) {
-    modbus_task_end(task);
+  const bool runs = task->call.state == CALL_RUNS;
+  task->cancelled = call_may_stop(&task->call);
+  call_stop(&task->call, JOB_CANCELLED);
+  if (runs && !task->cancelled) {
     set_status(task, REGISTERS_STATUS_CANCELLED);
   }
 }
 
 /* ---- turns ----------------------------------------------------------------------------------- */
 
-void modbus_task_run(struct modbus_task *task, uint64_t *budget) {
-  const wire_error error = run_job(task, budget);
-  if (error.status != WIRE_STATUS_OK) {
-    fail_job(task, error);
-  }
-}
-
 void modbus_task_finish(struct modbus_task *task) {
-  if (!task->evaluated) {
+  if (!call_take_end(&task->call)) {
     return;
   }
   const registers_job *fields = fields_of(task);
   const unsigned sequence =
       registers_u16(task->registers, fields->status + REGISTERS_BEHIND_SEQUENCE);
-  wire_error error;
-  const enum registers_status status = modbus_translate_reply(
-      task->kind, task->request, task->reply, task->reply_bytes, task->registers, &error);
-  task->evaluated = false;
+  wire_error error = task->call.error;
+  const enum registers_status status =
+      error.status == WIRE_STATUS_OK ? take_reply(task, &error) : REGISTERS_STATUS_ERROR;
   if (status == REGISTERS_STATUS_ERROR) {
-    fail_job(task, error);
+    modbus_task_fail(task, &error, registers_of_error(fields, &error));
     return;
   }
   set_status(task, task->cancelled ? REGISTERS_STATUS_CANCELLED : status);
@@ -207,25 +147,16 @@ void modbus_task_finish(struct modbus_task *task) {
   registers_set_u16(task->registers, fields->status + REGISTERS_BEHIND_SEQUENCE, sequence + 1);
   clear_error(task);
   set_progress(task, 1);
-  stats_add(&task->server->stats, STATS_MODBUS_EVALUATIONS, 1);
+  stats_add(&task->call.client->worker->server->stats, STATS_MODBUS_EVALUATIONS, 1);
 }
 
 void modbus_task_expire(struct modbus_task *task, uint64_t named_ms) {
-  const uint64_t now_ms = uv_now(&task->client->worker->loop);
+  const struct worker *worker = task->call.client->worker;
   /* A job that no master reads any more occupies a place that others could use. */
-  if (may_stop(task) && !task->cancelled &&
-      now_ms >= named_ms + task->server->options.modbus_idle_timeout_ms) {
+  if (call_may_stop(&task->call) && !task->cancelled &&
+      uv_now(&worker->loop) >= named_ms + worker->server->options.modbus_idle_timeout_ms) {
     modbus_task_cancel(task);
   }
-  if (run_expire(&task->run)) {
-    task->evaluated = false;
-    fail_job(task, task->error);
-  } else if (task->run.state != RUN_IDLE) {
-    watch_task(task, named_ms);
-  }
-}
-
-void modbus_task_end(struct modbus_task *task) {
-  run_drop(&task->run);
-  task->evaluated = false;
+  call_expire(&task->call);
+  watch_task(task, named_ms);
 }

@@ -11,34 +11,29 @@
 #ifndef DIPOLED_MODBUS_TASK_H
 #define DIPOLED_MODBUS_TASK_H
 
-#include "server/jobs/run.h"
+#include "server/jobs/call.h"
 #include "server/modbus/translate.h"
-#include "server/net/client.h"
 
 struct modbus_task {
+  struct call call; /* first member; its client is that of all units */
   enum registers_job_kind kind;
-  uint16_t *registers;   /* of the unit */
-  struct client *client; /* that of all units, in whose turns the task runs */
-  struct server *server;
-  bool evaluated;      /* whether the results are in the registers after the batch */
+  uint16_t *registers; /* of the unit */
   uint16_t token;      /* value of `commit` that started the job */
   bool cancelled;      /* whether the job ends early, with its results so far */
   uint64_t owed_radii; /* owed_radii of the job when it started */
-  struct run run;
-  wire_error error; /* after the run: why the job was refused; OK: it was not */
-  size_t reply_bytes;
-  _Alignas(8) uint8_t request[MODBUS_REQUEST_BYTES];
-  _Alignas(8) uint8_t reply[MODBUS_REPLY_BYTES];
 };
 
 static inline bool modbus_task_busy(const struct modbus_task *task) {
-  return task->run.state != RUN_IDLE || task->evaluated;
+  return task->call.state == CALL_RUNS || task->call.state == CALL_ENDS;
 }
 
 /* Returns whether the job has its next slice when the turn of its unit comes. */
 static inline bool modbus_task_runs(const struct modbus_task *task) {
-  return task->run.state == RUN_GOES_ON || task->run.state == RUN_HAS_PART;
+  return task->call.run.state == RUN_GOES_ON;
 }
+
+void modbus_task_init(struct modbus_task *task, enum registers_job_kind kind, uint16_t *registers,
+                      struct client *client, struct budget *buffers);
 
 /* Starts the job that the registers describe, for a master whose slow profiles are prepared in the
  * turns of `master`. The task must not be busy. If this returns OK, it is busy, and the registers say
@@ -48,18 +43,13 @@ wire_error modbus_task_commit(struct modbus_task *task, struct client *master);
 /* Lets the profiles of a job be prepared in the turns of `to` if they were in those of `from`. */
 void modbus_task_move(struct modbus_task *task, struct client *from, struct client *to);
 
-/* Does slices of a job that runs, until the budget is spent. */
-void modbus_task_run(struct modbus_task *task, uint64_t *budget);
-
-/* Call this when the batch has been evaluated: writes the results of a job that was in it. */
+/* Call this when the batch has been evaluated: writes the results of a job that has ended, or why it
+ * failed. */
 void modbus_task_finish(struct modbus_task *task);
 
 /* Ends the job if its deadline has passed, or, for Monte Carlo, if no request has named the unit since
  * named_ms for too long. */
 void modbus_task_expire(struct modbus_task *task, uint64_t named_ms);
-
-/* Ends the job without results. */
-void modbus_task_end(struct modbus_task *task);
 
 /* Writes the reason why a commit has failed into the task's registers. at: the register at
  * fault. */

@@ -11,21 +11,19 @@ enum {
   LINKS_MAX = 24,      /* most fields of a structure that have registers */
   STRUCTURES_MAX = 32, /* most structures of requests and replies */
   NAME_BYTES = 64,
+  /* bytes of the longest request, that of the fit of a tissue, and room for parameters */
+  REQUEST_BYTES =
+      (int)WIRE_BYTES_fit_tissue_request +
+      (REGISTERS_PROPERTIES_MAX + CORE_PARAMETERS_END) * (int)WIRE_BYTES_parameter +
+      REGISTERS_SOUGHT_MAX * (int)WIRE_BYTES_sought +
+      (5 * REGISTERS_PLACES_MAX + REGISTERS_WAVELENGTHS_MAX + 2 * REGISTERS_TISSUE_READINGS_MAX) *
+          (int)sizeof(double),
 };
-
-_Static_assert(WIRE_BYTES_eval_reply + sizeof(double) + 6 * WIRE_BYTES_quantity_error +
-                       4 * REGISTERS_RADII_MAX * sizeof(double) <=
-                   MODBUS_REPLY_BYTES,
-               "the reply to an eval is shorter");
 
 /* ---- fields and their registers ---------------------------------------------------------------- */
 
 static const schema_message *message_of(enum registers_job_kind kind) {
-  const schema_message *message = schema_messages;
-  while (message->type != registers_jobs[kind].message) {
-    message++;
-  }
-  return message;
+  return &schema_messages[registers_jobs[kind].message - 1];
 }
 
 /* The fields of a structure that have registers of their names. */
@@ -158,9 +156,11 @@ static void complete(enum registers_job_kind kind, core_parameters *parameters, 
 static void put_list(enum registers_job_kind kind, const schema_part *part,
                      const uint16_t image[REGISTERS_END], unsigned count, size_t bytes,
                      uint8_t *to) {
-  const registers_field *from = registers_named(&registers_jobs[kind], part->name, false);
+  static const registers_field *all[REGISTERS_JOBS][SCHEMA_PARTS]; /* found once, as the links */
+  const registers_field **from = &all[kind][part - message_of(kind)->request->parts];
+  *from = *from != NULL ? *from : registers_named(&registers_jobs[kind], part->name, false);
   for (unsigned i = 0; i < count; i++) {
-    const double number = number_of(image, from, i);
+    const double number = number_of(image, *from, i);
     const float single = (float)number;
     memcpy(to + i * bytes, bytes == sizeof single ? (const void *)&single : (const void *)&number,
            bytes);
@@ -210,13 +210,18 @@ static uint32_t *layer_count_of(enum registers_job_kind kind, void *request) {
                                         : NULL;
 }
 
-size_t modbus_translate_input(enum registers_job_kind kind, const uint16_t image[REGISTERS_END],
-                              uint8_t *request) {
+bool modbus_translate_input(enum registers_job_kind kind, const uint16_t image[REGISTERS_END],
+                            struct text *to_payload) {
   const schema_payload *payload = message_of(kind)->request;
   core_parameters parameters = core_parameters_none();
   schema_layout layout;
   size_t bytes = 0;
-  memset(request, 0, MODBUS_REQUEST_BYTES);
+  text_reset(to_payload);
+  uint8_t *request = (uint8_t *)text_room(to_payload, REQUEST_BYTES);
+  if (request == NULL) {
+    return false;
+  }
+  memset(request, 0, REQUEST_BYTES);
   for (int i = 0; i < 2 && payload->structures[i] != NULL; i++) {
     put_fields(kind, payload->structures[i], "", image, 0, request + bytes);
     bytes += payload->structures[i]->bytes;
@@ -233,7 +238,7 @@ size_t modbus_translate_input(enum registers_job_kind kind, const uint16_t image
   }
   schema_lay_out(payload, request, UINT64_MAX, &layout, NULL);
   bytes = (size_t)layout.payload_bytes;
-  assert(bytes + CORE_PARAMETERS_END * WIRE_BYTES_parameter <= MODBUS_REQUEST_BYTES);
+  assert(bytes + CORE_PARAMETERS_END * WIRE_BYTES_parameter <= REQUEST_BYTES);
   for (unsigned i = 0; payload->parts[i].name != NULL; i++) {
     const schema_part *part = &payload->parts[i];
     const unsigned count = (unsigned)layout.parts[i].count;
@@ -264,7 +269,8 @@ size_t modbus_translate_input(enum registers_job_kind kind, const uint16_t image
       put_list(kind, part, image, count, (size_t)layout.parts[i].bytes, to);
     }
   }
-  return bytes;
+  to_payload->count = bytes;
+  return true;
 }
 
 /* ---- output ---------------------------------------------------------------------------------- */

@@ -112,7 +112,7 @@ static unsigned commit_task(struct modbus_unit *unit, struct modbus_task *task, 
   }
   note_busy(unit);
   const bool fits = registers_is_fit(task->kind) && modbus_task_runs(task);
-  if (fits || task->evaluated) {
+  if (fits || task->call.state == CALL_ENDS) {
     unit->awaited = task;
     unit->master = client;
     unit->reply_ms = fits ? uv_now(&client->worker->loop) + MODBUS_FIT_MS : 0;
@@ -190,7 +190,7 @@ static void run_turn(struct client *client) {
       struct modbus_task *task = &unit->tasks[(first + i) % REGISTERS_JOBS];
       if (modbus_task_runs(task)) {
         budget -= budget < JOB_STEP_RADII ? budget : JOB_STEP_RADII;
-        modbus_task_run(task, &budget);
+        call_on(&task->call, &budget);
       }
     }
   }
@@ -212,7 +212,7 @@ static void end_waiting(struct modbus_unit *unit) {
 /* Ends the waiting for a job that has ended, and for a fit that waits for a profile or takes too long. */
 static void check_awaited(struct modbus_unit *unit) {
   const struct modbus_task *task = unit->awaited;
-  if (task == NULL || task->evaluated) {
+  if (task == NULL || task->call.state == CALL_ENDS) {
     return;
   }
   struct worker *worker = unit->units->client.worker;
@@ -239,13 +239,6 @@ static void expire_unit(struct modbus_unit *unit) {
   note_busy(unit);
 }
 
-static void end_unit(struct modbus_unit *unit) {
-  for (unsigned kind = 0; kind < REGISTERS_JOBS; kind++) {
-    modbus_task_end(&unit->tasks[kind]);
-  }
-  note_busy(unit);
-}
-
 static void for_each_active(struct modbus_units *units, void (*act)(struct modbus_unit *unit)) {
   struct modbus_unit *next;
   for (struct modbus_unit *unit = TAILQ_FIRST(&units->active); unit != NULL; unit = next) {
@@ -264,10 +257,13 @@ static void check_deadlines(struct client *client) {
 }
 
 void modbus_units_reset(struct modbus_units *units) {
-  for_each_active(units, end_unit);
-  for (unsigned number = 0; number <= MODBUS_UNITS; number++) {
-    units->units[number].units = NULL;
+  for (struct modbus_unit *unit = units->units; unit <= &units->units[MODBUS_UNITS]; unit++) {
+    for (unsigned kind = 0; unit->units != NULL && kind < REGISTERS_JOBS; kind++) {
+      call_free(&unit->tasks[kind].call);
+    }
+    unit->units = NULL;
   }
+  TAILQ_INIT(&units->active);
 }
 
 static void end_after_last_user(struct modbus_units *units) {
@@ -313,11 +309,8 @@ static void set_up_unit(struct modbus_units *units, struct modbus_unit *unit) {
   unit->units = units;
   registers_reset(unit->registers);
   for (unsigned kind = 0; kind < REGISTERS_JOBS; kind++) {
-    struct modbus_task *task = &unit->tasks[kind];
-    task->kind = kind;
-    task->registers = unit->registers;
-    task->client = &units->client;
-    task->server = units->server;
+    modbus_task_init(&unit->tasks[kind], kind, unit->registers, &units->client,
+                     &units->server->buffers);
   }
 }
 

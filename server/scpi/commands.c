@@ -471,7 +471,7 @@ COMMAND(wait_for_jobs) {
 COMMAND(reset_settings) {
   UNUSED;
   for (int i = 0; i < SCPI_TASKS; i++) {
-    scpi_task_drop(&s->tasks[i]);
+    call_drop(&s->tasks[i]);
   }
   for (int i = 0; i < SCPI_LISTS; i++) {
     text_reset(&s->lists[i]);
@@ -723,7 +723,8 @@ static bool start_task(struct scpi_session *s, enum scpi_task_index index, enum 
                 sizeof(float));
     }
   }
-  scpi_task_start(&s->tasks[index], type);
+  call_start(&s->tasks[index], type, &s->client->profiles, 0);
+  worker_run_later(s->client);
   return true;
 }
 
@@ -734,8 +735,8 @@ static const schema_payload *const replies[] = {[SCPI_FIT] = &schema_fit_reply,
 /* Returns the reply of a job that has ended; notes an error if there is none. */
 static const uint8_t *reply_of(struct scpi_session *s, const struct scpi_command *command,
                                schema_layout *layout) {
-  const struct scpi_task *task = &s->tasks[command->task];
-  if (task->state != SCPI_TASK_DONE) {
+  const struct call *task = &s->tasks[command->task];
+  if (task->state != CALL_DONE) {
     fail_with(s, SCPI_STALE, command->pattern, "when a job has ended: see *OPC?");
     return NULL;
   }
@@ -860,8 +861,8 @@ static void take_tissue(struct scpi_session *s) {
 
 /* ---- fits and Monte Carlo -------------------------------------------------------------------- */
 
-static bool is_under_way(const struct scpi_task *task) {
-  return task->state == SCPI_TASK_RUNS || task->state == SCPI_TASK_ENDS;
+static bool is_under_way(const struct call *task) {
+  return task->state == CALL_RUNS || task->state == CALL_ENDS;
 }
 
 /* Notes in the status which overlapped jobs are under way, and that all have ended. */
@@ -963,10 +964,10 @@ COMMAND(start_mc) {
 }
 
 COMMAND(tell_progress) {
-  const struct scpi_task *task = &s->tasks[SCPI_MC];
+  const struct call *task = &s->tasks[SCPI_MC];
   wire_mc_reply reply = {.photons_expected = s->settings.mc.photons, .error_total = INFINITY};
   (void)unit;
-  if (task->state == SCPI_TASK_NONE) {
+  if (task->state == CALL_NONE) {
     return fail_with(s, SCPI_STALE, command->pattern, "when MC:STARt has begun");
   }
   if (task->reply.count >= WIRE_BYTES_mc_reply) {
@@ -1000,19 +1001,9 @@ COMMAND(tell_rings) {
                        fixed.ring_count, false);
 }
 
-/* Ends a job: Monte Carlo soon, with its results so far. */
-static void stop_job(struct scpi_task *task, enum job_stop why) {
-  if (task->state == SCPI_TASK_RUNS && task->run.state != RUN_IDLE &&
-      task->run.job->kind->stop != NULL) {
-    task->run.job->kind->stop(task->run.job, why);
-  } else if (task->state == SCPI_TASK_RUNS) {
-    scpi_task_drop(task);
-  }
-}
-
 COMMAND(abort_job) {
   (void)unit;
-  stop_job(&s->tasks[command->number], JOB_CANCELLED);
+  call_stop(&s->tasks[command->number], JOB_CANCELLED);
   return note_jobs(s);
 }
 
@@ -1115,7 +1106,7 @@ void scpi_session_init(struct scpi_session *s, struct client *client, struct ser
     text_init(&s->lists[i], &server->buffers);
   }
   for (int i = 0; i < SCPI_TASKS; i++) {
-    scpi_task_init(&s->tasks[i], s);
+    call_init(&s->tasks[i], client, &server->buffers, true);
   }
   set_defaults(&s->settings);
 }
@@ -1126,8 +1117,7 @@ void scpi_session_free(struct scpi_session *s) {
     text_free(&s->lists[i]);
   }
   for (int i = 0; i < SCPI_TASKS; i++) {
-    text_free(&s->tasks[i].payload);
-    text_free(&s->tasks[i].reply);
+    call_free(&s->tasks[i]);
   }
 }
 
@@ -1179,23 +1169,18 @@ void scpi_session_end_message(struct scpi_session *s) {
 
 void scpi_session_run(struct scpi_session *s, uint64_t *budget) {
   for (int i = 0; i < SCPI_TASKS; i++) {
-    struct run *run = &s->tasks[i].run;
-    run_on(run, budget);
-    if (run->state == RUN_GOES_ON || run->state == RUN_HAS_PART) {
-      worker_run_later(s->client);
-    }
+    call_on(&s->tasks[i], budget);
   }
 }
 
 bool scpi_session_finish(struct scpi_session *s) {
   bool good = true;
   for (int i = 0; i < SCPI_TASKS; i++) {
-    struct scpi_task *task = &s->tasks[i];
-    if (task->state != SCPI_TASK_ENDS) {
+    struct call *task = &s->tasks[i];
+    if (!call_take_end(task)) {
       continue;
     }
-    const bool refused = task->error.status != WIRE_STATUS_OK;
-    task->state = refused ? SCPI_TASK_NONE : SCPI_TASK_DONE;
+    const bool refused = task->state == CALL_NONE;
     text_reset(&task->payload);
     const bool tissue = i == SCPI_EVAL && s->waits_for->carry_out == use_wavelength;
     if (refused) {
@@ -1221,9 +1206,9 @@ bool scpi_session_finish(struct scpi_session *s) {
 void scpi_session_stop(struct scpi_session *s, bool all) {
   for (int i = SCPI_FIT; i < SCPI_TASKS; i++) {
     if (all) {
-      scpi_task_drop(&s->tasks[i]);
+      call_drop(&s->tasks[i]);
     } else if (i == SCPI_MC) {
-      stop_job(&s->tasks[i], JOB_DAEMON_STOPS);
+      call_stop(&s->tasks[i], JOB_DAEMON_STOPS);
     }
   }
   note_jobs(s);

@@ -31,7 +31,7 @@ static void free_connection(struct transport *t) {
 
 static void drop_tasks(struct transport *t) {
   for (int i = 0; i < SCPI_TASKS; i++) {
-    scpi_task_drop(&((struct scpi_connection *)(void *)t)->session.tasks[i]);
+    call_drop(&((struct scpi_connection *)(void *)t)->session.tasks[i]);
   }
 }
 

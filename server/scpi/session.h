@@ -10,21 +10,9 @@
 
 #include "core/tissue/tissue.h"
 #include "proto/fit.h"
-#include "server/jobs/run.h"
-#include "server/net/client.h"
-#include "server/net/text.h"
+#include "server/jobs/call.h"
 #include "server/scpi/parse.h"
 #include "server/scpi/status.h"
-
-/* A job of the client. */
-struct scpi_task {
-  struct scpi_session *session;
-  enum { SCPI_TASK_NONE, SCPI_TASK_RUNS, SCPI_TASK_ENDS, SCPI_TASK_DONE } state;
-  struct run run;
-  struct text payload, reply; /* the reply is that of the last job, or empty */
-  uint64_t arrived_ns;
-  wire_error error; /* why it has failed, or OK; set when it ends */
-};
 
 enum scpi_task_index { SCPI_EVAL, SCPI_FIT, SCPI_SPECTRUM, SCPI_MC, SCPI_TASKS };
 
@@ -66,8 +54,8 @@ struct scpi_session {
   struct server *server;
   struct scpi_settings settings;
   struct scpi_status status;
-  struct text lists[SCPI_LISTS]; /* numbers of type double */
-  struct scpi_task tasks[SCPI_TASKS];
+  struct text lists[SCPI_LISTS];        /* numbers of type double */
+  struct call tasks[SCPI_TASKS];        /* the reply is that of the last job, or empty */
   wire_quantity_error errors;           /* of the last eval */
   bool completes;                       /* whether *OPC waits */
   const struct scpi_command *command;   /* the last one, which says at which node the next one is */
@@ -99,12 +87,5 @@ bool scpi_session_finish(struct scpi_session *session);
 
 /* all: drops fit and Monte Carlo without results; else ends Monte Carlo soon, with results. */
 void scpi_session_stop(struct scpi_session *session, bool all);
-
-/* ---- jobs: task.c ---------------------------------------------------------------------------- */
-
-void scpi_task_init(struct scpi_task *task, struct scpi_session *session);
-/* Starts a job whose payload is complete. */
-void scpi_task_start(struct scpi_task *task, enum wire_type type);
-void scpi_task_drop(struct scpi_task *task); /* ends it without results */
 
 #endif
