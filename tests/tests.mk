@@ -28,6 +28,7 @@ $(OBJ)/tests/unit/test_modbus.o: EXTRA_CPPFLAGS = $(call cflags,libmodbus)
 
 $(BUILD)/bench: $(BENCH) $(BUILD)/libdipole.a
 $(BUILD)/soak-load: $(call objects,$(wildcard tests/soak/*.c)) $(BUILD)/libdipole.a
+$(OBJ)/tests/bench/bench_service.o: EXTRA_CPPFLAGS = $(TLS_CFLAGS)
 $(BUILD)/bench $(BUILD)/soak-load: LIBS = $(TLS_LIBS) $(CORE_LIBS)
 
 # The daemon, and a test can see how often it takes memory from the heap.
