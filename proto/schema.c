@@ -214,6 +214,20 @@ static uint64_t read_named(const schema_payload *payload, const uint8_t *bytes, 
   return 0;
 }
 
+double schema_number_at(const schema_field *field, const void *at) {
+  uint64_t integer = 0;
+  double real;
+  memcpy(&integer, at, field->bytes / field->count);
+  memcpy(&real, &integer, sizeof real);
+  return field->kind == SCHEMA_f64 ? real : (double)integer;
+}
+
+void schema_put_number(const schema_field *field, double number, void *at) {
+  const uint64_t integer = field->kind == SCHEMA_f64 ? 0 : (uint64_t)number;
+  memcpy(at, field->kind == SCHEMA_f64 ? (const void *)&number : (const void *)&integer,
+         field->bytes / field->count);
+}
+
 /* Checks a value, and sets *error if it is wrong. */
 static bool check_value(const schema_field *field, uint64_t bits, wire_error *error) {
   double value;

@@ -6,6 +6,8 @@
 #ifndef DIPOLED_PROTO_SCHEMA_H
 #define DIPOLED_PROTO_SCHEMA_H
 
+#include <string.h>
+
 #include "core/core.h"
 #include "proto/wire.h"
 
@@ -49,6 +51,31 @@ typedef struct schema_field {
   const char *zero_text;
   double usual;
 } schema_field;
+
+/* Reads the number of a field, or one of several, at this place. */
+double schema_number_at(const schema_field *field, const void *at);
+
+/* Writes it as the field's kind has it: an integer has its bits. */
+void schema_put_number(const schema_field *field, double number, void *at);
+
+/* Read and write a number of an array of floats, if `single`, or of doubles, at any place. */
+static inline double schema_real_at(const void *values, uint64_t index, bool single) {
+  float narrow;
+  double wide;
+  if (!single) {
+    memcpy(&wide, (const char *)values + index * sizeof wide, sizeof wide);
+    return wide;
+  }
+  memcpy(&narrow, (const char *)values + index * sizeof narrow, sizeof narrow);
+  return (double)narrow;
+}
+
+static inline void schema_put_real(void *values, uint64_t index, bool single, double number) {
+  const float narrow = (float)number;
+  const size_t bytes = single ? sizeof narrow : sizeof number;
+  memcpy((char *)values + index * bytes, single ? (const void *)&narrow : (const void *)&number,
+         bytes);
+}
 
 /* Returns the name of a kind, as messages.def has it. */
 const char *schema_kind_name(enum schema_kind kind);

@@ -120,19 +120,6 @@ static void evaluate_slice(const struct slice *slice, enum core_quantity quantit
   core_varying_eval(slice->varying, quantity, slice->n, slice->sigma_a, slice->sigma_s, in, out);
 }
 
-/* Read and write an element of an array. */
-static double number_at(const struct slice *slice, const void *array, size_t i) {
-  return slice->single ? (double)((const float *)array)[i] : ((const double *)array)[i];
-}
-
-static void set_number(const struct slice *slice, void *array, size_t i, double value) {
-  if (slice->single) {
-    ((float *)array)[i] = (float)value;
-  } else {
-    ((double *)array)[i] = value;
-  }
-}
-
 /* Copies a medium's coefficient, or computes the albedo of single scattering. */
 static void copy_coefficient(const struct slice *slice, unsigned coefficient, void *out) {
   const size_t bytes = slice->n * (slice->single ? sizeof(float) : sizeof(double));
@@ -214,7 +201,7 @@ static void clear(const varying_part *part, const struct slice *slice, uint64_t 
   for (uint32_t array = 1; array != 0 && array <= part->layout.arrays; array <<= 1) {
     void *at = array_at(part, array, begin, bytes);
     if (at != NULL) {
-      set_number(slice, at, i, (double)NAN);
+      schema_put_real(at, i, slice->single, (double)NAN);
     }
   }
 }
@@ -259,8 +246,8 @@ void varying_part_start(varying_part *part, const varying_request *request, uint
 static void compare(varying_part *part, const struct slice *slice, const struct scratch *scratch,
                     unsigned quantity, const uint8_t *status, const void *values) {
   for (size_t i = 0; i < slice->n; i++) {
-    const double value = number_at(slice, values, i);
-    const double truth = number_at(slice, scratch->truth, i);
+    const double value = schema_real_at(values, i, slice->single);
+    const double truth = schema_real_at(scratch->truth, i, slice->single);
     if (status[i] == CORE_VALUE_OK && scratch->known[i] == CORE_VALUE_OK && !isinf(truth)) {
       const double apart = fabs(value - truth);
       const double relative = quantity == CORE_QUANTITY_CDF ? apart : apart > 0 ? apart / truth : 0;
@@ -306,7 +293,7 @@ void varying_part_evaluate(varying_part *part, const varying_request *request,
   const void *numbers = memory.r;
   if (fixed->numbers == VARYING_NONE) { /* any number u: the albedo has no radius */
     for (size_t i = 0; i < n; i++) {
-      set_number(&slice, memory.r, i, 0.5);
+      schema_put_real(memory.r, i, slice.single, 0.5);
     }
   } else {
     numbers = (const uint8_t *)request->numbers + offset;

@@ -3,6 +3,7 @@
 #ifndef DIPOLED_SERVER_H
 #define DIPOLED_SERVER_H
 
+#include <stdlib.h>
 #include <uv.h>
 
 #include "core/core.h"
@@ -75,6 +76,21 @@ static inline void budget_return(struct budget *budget, uint64_t bytes) {
   for (; budget != NULL; budget = budget->whole) {
     atomic_fetch_sub(&budget->bytes, bytes);
   }
+}
+
+/* Resizes memory that counts, as realloc(): from `before` bytes to `bytes`, of which up to `base` are
+ * had even beyond the budget. Returns NULL, and changes nothing, if there is no memory. */
+static inline void *budget_resize(struct budget *budget, void *memory, size_t before, size_t bytes,
+                                  size_t base) {
+  const size_t more = bytes > before ? bytes - before : 0;
+  if (bytes <= base) {
+    budget_take_base(budget, more);
+  } else if (more > 0 && !budget_take(budget, more)) {
+    return NULL;
+  }
+  void *resized = realloc(memory, bytes);
+  budget_return(budget, resized == NULL ? more : before + more - bytes);
+  return resized;
 }
 
 #endif

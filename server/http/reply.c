@@ -22,12 +22,6 @@ static uint64_t get_count(const uint8_t *at, size_t bytes) {
   return number;
 }
 
-static double get_f64(const uint8_t *at) {
-  double number;
-  memcpy(&number, at, sizeof number);
-  return number;
-}
-
 /* Writes a choice by its name, or the names of a sum of choices. */
 static void write_choice(struct text *text, const schema_field *field, unsigned number) {
   const core_choice *entry = field->bits ? NULL : core_choice_by_id(field->list, number);
@@ -47,7 +41,7 @@ static void write_choice(struct text *text, const schema_field *field, unsigned 
 static void write_one(struct text *text, const char *key, enum schema_kind kind, const uint8_t *at,
                       size_t bytes) {
   if (kind == SCHEMA_f64) {
-    http_text_number(text, key, get_f64(at));
+    http_text_number(text, key, schema_real_at(at, 0, false));
   } else {
     http_text_count(text, key, get_count(at, bytes));
   }
@@ -143,7 +137,7 @@ static void write_channel(struct text *text, const uint8_t *payload, const uint8
   const bool single = core_evaluator_bytes(fixed->evaluator) == sizeof(float);
   http_text_begin(text, NULL, '{');
   write_medium(text, medium, layer_count);
-  http_text_number(text, "albedo", get_f64(payload + eval_albedo_offset(channel)));
+  http_text_number(text, "albedo", schema_real_at(payload + eval_albedo_offset(0), channel, false));
   if ((fixed->wanted & CORE_QUANTITY_BALANCE) != 0) {
     write_object(text, "balance", FIELDS(balance),
                  payload + layout->balances_offset + channel * (size_t)WIRE_BYTES_balance);
@@ -335,8 +329,7 @@ static void write_gather(struct text *text, const uint8_t *media, uint32_t layer
                  payload + WIRE_BYTES_gather_reply + channel * (size_t)WIRE_BYTES_quantity_error);
     http_text_begin(text, "M", '[');
     for (uint64_t i = 0; i < fixed.count; i++) {
-      http_text_number(text, NULL,
-                       get_f64(sums + (i * fixed.channel_count + channel) * sizeof(double)));
+      http_text_number(text, NULL, schema_real_at(sums, i * fixed.channel_count + channel, false));
     }
     http_text_end(text, ']');
     http_text_end(text, '}');

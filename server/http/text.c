@@ -119,8 +119,7 @@ void http_text_numbers(struct text *text, const char *key, const void *values, u
     }
     *at = ',';
     at += i > 0;
-    at +=
-        write_number(single ? (double)((const float *)values)[i] : ((const double *)values)[i], at);
+    at += write_number(schema_real_at(values, i, single), at);
     end_value(text, at);
   }
   http_text_end(text, ']');

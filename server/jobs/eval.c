@@ -493,16 +493,13 @@ static void compare_models(const struct eval_job *eval, size_t n, const void *r,
     double at[CORE_RULER_RADII], error[CORE_RULER_RADII];
     const size_t count = n - first < CORE_RULER_RADII ? n - first : CORE_RULER_RADII;
     for (size_t i = 0; i < count; i++) {
-      at[i] = single ? (double)((const float *)r)[first + i] : ((const double *)r)[first + i];
+      at[i] = schema_real_at(r, first + i, single);
     }
     core_model_errors_at(&eval->lookup.profile, ruler_of(eval),
                          wanted != 0 ? wanted : (unsigned)CORE_QUANTITY_R, count, at, error);
     for (size_t i = 0; i < count; i++) {
-      if (single) {
-        ((float *)to)[first + i] = (float)(as_told(error[i]) * (1 + (double)FLT_EPSILON));
-      } else {
-        ((double *)to)[first + i] = as_told(error[i]);
-      }
+      schema_put_real(to, first + i, single,
+                      as_told(error[i]) * (single ? 1 + (double)FLT_EPSILON : 1));
     }
   }
 }

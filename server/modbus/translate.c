@@ -88,11 +88,7 @@ static void put_fields(enum registers_job_kind kind, const schema_structure *str
   const struct links *links = links_of(kind, structure, prefix, false);
   for (unsigned i = 0; i < links->count; i++) {
     const struct link *link = &links->items[i];
-    const double number = number_of(image, link->registers, index);
-    const uint64_t integer = link->field->kind == SCHEMA_f64 ? 0 : (uint64_t)number;
-    memcpy(to + link->at,
-           link->field->kind == SCHEMA_f64 ? (const void *)&number : (const void *)&integer,
-           link->field->bytes);
+    schema_put_number(link->field, number_of(image, link->registers, index), to + link->at);
   }
 }
 
@@ -160,10 +156,7 @@ static void put_list(enum registers_job_kind kind, const schema_part *part,
   const registers_field **from = &all[kind][part - message_of(kind)->request->parts];
   *from = *from != NULL ? *from : registers_named(&registers_jobs[kind], part->name, false);
   for (unsigned i = 0; i < count; i++) {
-    const double number = number_of(image, *from, i);
-    const float single = (float)number;
-    memcpy(to + i * bytes, bytes == sizeof single ? (const void *)&single : (const void *)&number,
-           bytes);
+    schema_put_real(to, i, bytes == sizeof(float), number_of(image, *from, i));
   }
 }
 
@@ -282,14 +275,7 @@ struct values {
 };
 
 static double value_at(const struct values *values, unsigned index) {
-  if (values->bytes == sizeof(float)) {
-    float value;
-    memcpy(&value, values->at + index * sizeof value, sizeof value);
-    return (double)value;
-  }
-  double value;
-  memcpy(&value, values->at + index * sizeof value, sizeof value);
-  return value;
+  return schema_real_at(values->at, index, values->bytes == sizeof(float));
 }
 
 /* Writes the values into registers. Registers that held values of the previous reply, and get none
@@ -324,12 +310,9 @@ static void set_fields(enum registers_job_kind kind, const schema_structure *str
     const struct link *link = &links->items[i];
     const size_t bytes = link->field->bytes / link->field->count;
     for (unsigned k = 0; k < link->field->count; k++) {
-      const uint8_t *at = from + link->at + k * bytes;
-      uint64_t integer = 0;
-      double number = 0;
-      memcpy(link->field->kind == SCHEMA_f64 ? (void *)&number : (void *)&integer, at, bytes);
+      const double number = schema_number_at(link->field, from + link->at + k * bytes);
       if (link->registers->type != REGISTERS_F32) {
-        registers_set_u16(image, link->registers->address + index, (unsigned)integer);
+        registers_set_u16(image, link->registers->address + index, (unsigned)number);
       } else {
         registers_set_f32(image, link->registers->address + 2 * (index + k),
                           strstr(link->field->name, "error") != NULL ? rounded_up(number)

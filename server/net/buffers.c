@@ -28,28 +28,14 @@ static bool resize(struct input *input, size_t capacity) {
   if (input->marks == NULL) {
     input->marks = malloc(INPUT_MARKS * sizeof *input->marks);
   }
-  if (input->marks == NULL) {
-    return false;
+  uint8_t *bytes = input->marks != NULL ? budget_resize(input->budget, input->bytes,
+                                                        input->capacity, capacity, BASE_BYTES)
+                                        : NULL;
+  if (bytes != NULL) {
+    input->bytes = bytes;
+    input->capacity = capacity;
   }
-  if (capacity == BASE_BYTES && input->capacity == 0) {
-    budget_take_base(input->budget, capacity);
-  } else if (capacity > input->capacity &&
-             !budget_take(input->budget, capacity - input->capacity)) {
-    return false;
-  }
-  uint8_t *bytes = realloc(input->bytes, capacity);
-  if (bytes == NULL) {
-    if (capacity > input->capacity) {
-      budget_return(input->budget, capacity - input->capacity);
-    }
-    return false;
-  }
-  if (capacity < input->capacity) {
-    budget_return(input->budget, input->capacity - capacity);
-  }
-  input->bytes = bytes;
-  input->capacity = capacity;
-  return true;
+  return bytes != NULL;
 }
 
 static size_t held(const struct input *input) {
@@ -190,12 +176,8 @@ bool input_take(struct input *input, const wire_header *header, struct input_blo
   const size_t frame_bytes = WIRE_BYTES_header + (size_t)header->payload_bytes;
   const uint8_t *frame = input->bytes + input->begin;
   if (frame_bytes <= BASE_BYTES || frame_bytes < input->capacity / 2) {
-    if (!budget_take(input->budget, frame_bytes)) {
-      return false;
-    }
-    uint8_t *bytes = malloc(frame_bytes);
+    uint8_t *bytes = budget_resize(input->budget, NULL, 0, frame_bytes, 0);
     if (bytes == NULL) {
-      budget_return(input->budget, frame_bytes);
       return false;
     }
     memcpy(bytes, frame, frame_bytes);
@@ -294,7 +276,7 @@ void output_free(struct output *output) {
   }
 }
 
-static struct output_chunk *new_chunk(struct output *output, size_t bytes) {
+static struct output_chunk *add_chunk(struct output *output, size_t bytes) {
   const size_t capacity = bytes > CHUNK_BYTES ? bytes : CHUNK_BYTES;
   if (output->first == NULL && capacity == CHUNK_BYTES) {
     budget_take_base(output->budget, capacity);
@@ -307,14 +289,6 @@ static struct output_chunk *new_chunk(struct output *output, size_t bytes) {
     return NULL;
   }
   *chunk = (struct output_chunk){.capacity = capacity};
-  return chunk;
-}
-
-static struct output_chunk *add_chunk(struct output *output, size_t bytes) {
-  struct output_chunk *chunk = new_chunk(output, bytes);
-  if (chunk == NULL) {
-    return NULL;
-  }
   if (output->last == NULL) {
     output->first = chunk;
   } else {

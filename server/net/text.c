@@ -23,10 +23,10 @@ void text_free(struct text *text) {
 }
 
 void text_trim(struct text *text) {
-  char *bytes =
-      text->capacity > KEPT_BYTES && text->count > 0 ? realloc(text->bytes, text->count) : NULL;
+  char *bytes = text->capacity > KEPT_BYTES && text->count > 0
+                    ? budget_resize(text->budget, text->bytes, text->capacity, text->count, 0)
+                    : NULL;
   if (bytes != NULL) {
-    budget_return(text->budget, text->capacity - text->count);
     text->bytes = bytes;
     text->capacity = text->count;
   }
@@ -38,19 +38,11 @@ bool text_grow(struct text *text, size_t bytes) {
   while (capacity < wanted) {
     capacity *= 2;
   }
-  if (capacity <= KEPT_BYTES) {
-    budget_take_base(text->budget, capacity - text->capacity);
-  } else if (!budget_take(text->budget, capacity - text->capacity)) {
-    text->failed = true;
-    return false;
+  char *grown = budget_resize(text->budget, text->bytes, text->capacity, capacity, KEPT_BYTES);
+  text->failed = grown == NULL;
+  if (grown != NULL) {
+    text->bytes = grown;
+    text->capacity = capacity;
   }
-  char *grown = realloc(text->bytes, capacity);
-  if (grown == NULL) {
-    budget_return(text->budget, capacity - text->capacity);
-    text->failed = true;
-    return false;
-  }
-  text->bytes = grown;
-  text->capacity = capacity;
-  return true;
+  return grown != NULL;
 }

@@ -83,29 +83,12 @@ static size_t put_decimal(double value, bool single, char text[DECIMAL_BYTES]) {
                                        : "-9.9E37");
 }
 
-static double value_at(const void *values, size_t index, bool single) {
-  float narrow;
-  double value;
-  if (single) {
-    memcpy(&narrow, (const char *)values + index * sizeof narrow, sizeof narrow);
-    return (double)narrow;
-  }
-  memcpy(&value, (const char *)values + index * sizeof value, sizeof value);
-  return value;
-}
-
-/* Writes a number in so many bytes. */
-static void put_value(uint8_t *at, double value, size_t bytes) {
-  const float narrow = (float)value;
-  memcpy(at, bytes == sizeof narrow ? (const void *)&narrow : (const void *)&value, bytes);
-}
-
 static enum outcome answer_decimals(struct scpi_session *s, const void *values, size_t count,
                                     bool single) {
   answer(s, count > 0 ? "" : "\"\"");
   for (size_t i = 0; i < count; i++) {
     char text[DECIMAL_BYTES + 1] = ",";
-    const size_t bytes = put_decimal(value_at(values, i, single), single, text + 1);
+    const size_t bytes = put_decimal(schema_real_at(values, i, single), single, text + 1);
     text_add(&s->answers, text + (i == 0), bytes + (i > 0));
   }
   return DONE;
@@ -134,7 +117,7 @@ static enum outcome answer_values(struct scpi_session *s, const void *values, si
   answer_block(s, count * each);
   uint8_t *to = (uint8_t *)text_room(&s->answers, count * each);
   for (size_t i = 0; to != NULL && i < count; i++, to += each) {
-    put_value(to, value_at(values, i, single), each);
+    schema_put_real(to, 0, each == sizeof(float), schema_real_at(values, i, single));
     order_bytes(s, to, each);
   }
   s->answers.count += to != NULL ? count * each : 0;
@@ -206,7 +189,7 @@ static bool add_block(struct scpi_session *s, const struct scpi_parameter *block
     uint8_t bytes[sizeof(double)];
     memcpy(bytes, block->text + at, each);
     order_bytes(s, bytes, each);
-    const double value = value_at(bytes, 0, each == sizeof(float));
+    const double value = schema_real_at(bytes, 0, each == sizeof(float));
     text_add(to, &value, sizeof value);
   }
   return true;
@@ -295,23 +278,10 @@ static bool read_choice(struct scpi_session *s, const struct scpi_parameter *par
                                           : "a name that `dipole` lists, or its id");
 }
 
-/* Writes the number of a field as its kind has it. Returns false if it does not fit. */
-static bool put_number(const schema_field *field, double value, void *at) {
-  const size_t bytes = field->bytes;
-  const bool real = field->kind == SCHEMA_f64;
-  const double end = bytes < 8 ? ldexp(1, 8 * (int)bytes) : 0x1p53; /* then not all are doubles */
-  const bool fits = value >= 0 && value == floor(value) && value < end;
-  const uint64_t integer = fits && !real ? (uint64_t)value : 0;
-  memcpy(at, real ? (const void *)&value : (const void *)&integer, bytes);
-  return fits || real;
-}
-
-static double number_at(const schema_field *field, const uint8_t *at) {
-  uint64_t integer = 0;
-  double real;
-  memcpy(&integer, at, field->bytes);
-  memcpy(&real, &integer, sizeof real);
-  return field->kind == SCHEMA_f64 ? real : (double)integer;
+/* Returns whether the number of a field is one that its kind has. */
+static bool is_fit(const schema_field *field, double value) {
+  const double end = field->bytes < 8 ? ldexp(1, 8 * (int)field->bytes) : 0x1p53;
+  return field->kind == SCHEMA_f64 || (value >= 0 && value == floor(value) && value < end);
 }
 
 static void set_defaults(struct scpi_settings *to);
@@ -321,7 +291,7 @@ static double usual_of(const struct scpi_session *s, const schema_field *field, 
   struct scpi_settings usual;
   const uintptr_t offset = (uintptr_t)at - (uintptr_t)&s->settings;
   set_defaults(&usual);
-  return offset < sizeof usual ? number_at(field, (const uint8_t *)&usual + offset) : 0;
+  return offset < sizeof usual ? schema_number_at(field, (const uint8_t *)&usual + offset) : 0;
 }
 
 /* Takes the value of a field that lies at `from` in the session, and writes it to `to`. */
@@ -339,10 +309,11 @@ static bool take_field(struct scpi_session *s, struct scpi_unit *unit, const sch
                                    : read_number(s, &parameter, field, &value))) {
     return false;
   }
-  if (!put_number(field, value, &bits)) {
+  if (!is_fit(field, value)) {
     return fail_with(s, SCPI_OUT_OF_RANGE, field->name,
                      "an integer from 0 on, below 2^53 and as large as the field");
   }
+  schema_put_number(field, value, &bits);
   memcpy(to, &bits, field->bytes);
   return is_good(s, schema_check_value(field, bits));
 }
@@ -350,7 +321,7 @@ static bool take_field(struct scpi_session *s, struct scpi_unit *unit, const sch
 /* Answers with a field; a comma stands before those that are not the first of a unit. */
 static void answer_field(struct scpi_session *s, const schema_field *field, const uint8_t *at,
                          bool first) {
-  const double value = number_at(field, at);
+  const double value = schema_number_at(field, at);
   const core_choice *one =
       field->list != NULL ? core_choice_by_id(field->list, (unsigned)value) : NULL;
   char text[64];
@@ -382,7 +353,7 @@ static enum outcome use_structure(struct scpi_session *s, const struct scpi_comm
     if (unit->query) {
       answer_field(s, field, copy + at, first);
     } else if (optional && !unit->more) {
-      put_number(field, usual_of(s, field, structure + at), copy + at);
+      schema_put_number(field, usual_of(s, field, structure + at), copy + at);
     } else if (!take_field(s, unit, field, structure + at, copy + at)) {
       return FAILED;
     }
@@ -406,7 +377,7 @@ COMMAND(use_fields) {
 static void set_usual(const schema_structure *structure, void *to) {
   uint8_t *at = to;
   for (const schema_field *field = structure->fields; field->name != NULL; field++) {
-    put_number(field, field->usual, at);
+    schema_put_number(field, field->usual, at);
     at += field->bytes;
   }
 }
@@ -719,8 +690,7 @@ static bool start_task(struct scpi_session *s, enum scpi_task_index index, enum 
     const bool narrow = layout.parts[i].bytes == sizeof(float);
     schema_put_part(bytes, &layout, i, narrow ? NULL : elements);
     for (uint64_t k = 0; narrow && k < layout.parts[i].count; k++) {
-      put_value(bytes + layout.parts[i].at + k * sizeof(float), value_at(elements, k, false),
-                sizeof(float));
+      schema_put_real(bytes + layout.parts[i].at, k, true, schema_real_at(elements, k, false));
     }
   }
   call_start(&s->tasks[index], type, &s->client->profiles, 0);
@@ -765,7 +735,7 @@ COMMAND(tell_fields) {
       snprintf(text, sizeof text, "%s%.*s", root ? "variance_" : "", (int)bytes - 3 * root,
                name + 3 * root);
       const schema_field *field = field_named(command->structure, text, strlen(text), &at);
-      const double value = number_at(field, reply + i * command->structure->bytes + at);
+      const double value = schema_number_at(field, reply + i * command->structure->bytes + at);
       values[count++] = root ? sqrt(value) : value;
     }
   }
@@ -990,6 +960,7 @@ COMMAND(tell_rings) {
   wire_get_mc_reply(reply, &fixed);
   const schema_field field = {.name = command->pattern,
                               .kind = SCHEMA_u32,
+                              .count = 1,
                               .bytes = sizeof(uint32_t),
                               .ranged = true,
                               .least = 1,
@@ -1019,9 +990,12 @@ static const core_choice orders[] = {
 #define ONE_FIELD(header, value, ...)                                                              \
   &(const schema_structure) {                                                                      \
     NULL,                                                                                          \
-        (const schema_field[]){                                                                    \
-            {.name = header, .kind = SCHEMA_##value, .bytes = WIRE_SIZE_##value, __VA_ARGS__},     \
-            {.name = NULL}},                                                                       \
+        (const schema_field[]){{.name = header,                                                    \
+                                .kind = SCHEMA_##value,                                            \
+                                .count = 1,                                                        \
+                                .bytes = WIRE_SIZE_##value,                                        \
+                                __VA_ARGS__},                                                      \
+                               {.name = NULL}},                                                    \
         WIRE_SIZE_##value                                                                          \
   }
 #define AT(member) offsetof(struct scpi_session, member)
