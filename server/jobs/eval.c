@@ -166,7 +166,7 @@ wire_error eval_job_offers(struct eval_job *eval, const struct job_request *requ
 static bool lay_out_part(struct eval_job *eval, uint64_t max_bytes) {
   const wire_eval_request *fixed = &eval->request.fixed;
   return eval_reply_layout(fixed->evaluator, wanted_of(eval), fixed->medium_count,
-                           eval->parts.count, max_bytes, &eval->layout);
+                           eval->job.parts.count, max_bytes, &eval->layout);
 }
 
 /* Returns the refusal of a request for which a part of most_bytes is too small. It says how many
@@ -191,7 +191,7 @@ static wire_error cut_reply(struct eval_job *eval, const struct options *options
   if (fixed->radius_count > options->max_radii) {
     return job_too_large(count_field(eval), options->max_radii, "radii");
   }
-  job_parts_cut(&eval->parts, fixed->radius_count, fixed->radius_count);
+  job_parts_cut(&eval->job.parts, fixed->radius_count, fixed->radius_count);
   if (lay_out_part(eval, options->max_frame_bytes)) {
     return wire_error_none();
   }
@@ -204,7 +204,7 @@ static wire_error cut_reply(struct eval_job *eval, const struct options *options
   if ((fixed->radius_count - 1) / most >= UINT32_MAX) { /* more than 2^40 radii in parts of 256 */
     return job_too_large(count_field(eval), UINT32_MAX * most, "radii in parts as small as these");
   }
-  job_parts_cut(&eval->parts, fixed->radius_count, most);
+  job_parts_cut(&eval->job.parts, fixed->radius_count, most);
   const bool fits = lay_out_part(eval, most_bytes);
   assert(fits);
   return wire_error_none();
@@ -253,18 +253,18 @@ static wire_error check_sample(struct eval_job *eval) {
 
 /* Fills the end of an array, behind all its values, with zero bytes. */
 static void pad_array(const struct eval_job *eval, uint64_t array_offset) {
-  const size_t used = (size_t)eval->parts.count * eval->value_bytes;
+  const size_t used = (size_t)eval->job.parts.count * eval->value_bytes;
   memset(eval->reply + array_offset + used, 0, (size_t)eval->layout.array_bytes - used);
 }
 
 static void expand_grid(const struct eval_job *eval, size_t n, void *radii) {
-  core_grid_radii(&eval->grid, eval->parts.first + eval->index, n, is_single(eval), radii);
+  core_grid_radii(&eval->grid, eval->job.parts.first + eval->index, n, is_single(eval), radii);
 }
 
 /* Returns the address of the next listed radius, or of the next listed number u of a sample. */
 static const uint8_t *listed_radii(const struct eval_job *eval) {
   return (const uint8_t *)eval->request.radii +
-         (size_t)(eval->parts.first + eval->index) * eval->value_bytes;
+         (size_t)(eval->job.parts.first + eval->index) * eval->value_bytes;
 }
 
 static void copy_radii(const struct eval_job *eval, size_t n) {
@@ -307,10 +307,10 @@ static const void *draw_radii(const struct eval_job *eval, size_t n) {
   if (eval->request.radii != NULL) {
     u = listed_radii(eval);
   } else if (single) {
-    core_draw_f32(&eval->draw, eval->parts.first + eval->index, n,
+    core_draw_f32(&eval->draw, eval->job.parts.first + eval->index, n,
                   (float *)(void *)scratch->numbers);
   } else {
-    core_draw_f64(&eval->draw, eval->parts.first + eval->index, n, scratch->numbers);
+    core_draw_f64(&eval->draw, eval->job.parts.first + eval->index, n, scratch->numbers);
   }
   if (single) {
     core_sample_f32(&eval->lookup.profile, n, u, r);
@@ -506,7 +506,7 @@ static void compare_models(const struct eval_job *eval, size_t n, const void *r,
 
 /* Evaluates every wanted array at the n radii of a slice, or adds a short request to the batch. */
 static void evaluate_slice(struct eval_job *eval, size_t n) {
-  const bool is_short = eval->parts.count == n && n <= BATCH_SHORT_RADII && n > 0;
+  const bool is_short = eval->job.parts.count == n && n <= BATCH_SHORT_RADII && n > 0;
   const void *r = eval->drawn ? draw_radii(eval, n) : slice_radii(eval, n);
   for (unsigned left = eval->request.fixed.wanted; left != 0; left &= left - 1) {
     const unsigned quantity = left & ~(left - 1);
@@ -541,7 +541,7 @@ static void pad_channel(const struct eval_job *eval) {
 /* Advances by a slice of n radii. Returns true if this was the last slice of its arrays. */
 static bool advance_by(struct eval_job *eval, size_t n) {
   eval->index += n;
-  if (eval->index < eval->parts.count) {
+  if (eval->index < eval->job.parts.count) {
     return false;
   }
   eval->index = 0;
@@ -566,10 +566,10 @@ static void put_start(const struct eval_job *eval) {
       .wanted = fixed->wanted,
       .notes = eval->notes,
       .channel_count = fixed->medium_count,
-      .count = eval->parts.count,
-      .first = eval->parts.first,
-      .part = eval->parts.part,
-      .part_count = eval->parts.part_count,
+      .count = eval->job.parts.count,
+      .first = eval->job.parts.first,
+      .part = eval->job.parts.part,
+      .part_count = eval->job.parts.part_count,
   };
   wire_put_eval_reply(eval->reply, &start);
 }
@@ -611,7 +611,7 @@ enum { DRAW_VECTOR = 8 };
 
 /* fixed: what a slice costs besides its radii. If that is much, the radii may cost as much again. */
 static size_t slice_length(const struct eval_job *eval, double fixed, double cost) {
-  const uint64_t left = eval->parts.count - eval->index;
+  const uint64_t left = eval->job.parts.count - eval->index;
   size_t most = (size_t)fmax(fmax(JOB_SLICE_RADII - fixed, fixed) / cost, 1);
   if (eval->drawn) {
     most = most < DRAW_VECTOR ? DRAW_VECTOR : most / DRAW_VECTOR * DRAW_VECTOR;
@@ -705,8 +705,8 @@ static enum job_outcome begin_eval_part(struct job *job, uint8_t *payload) {
 
 /* Ends a part. If another part follows, computes its layout. */
 static enum job_outcome end_part(struct eval_job *eval) {
-  const bool is_first = eval->parts.part == 0;
-  if (!job_parts_next(&eval->parts)) {
+  const bool is_first = eval->job.parts.part == 0;
+  if (!job_parts_next(&eval->job.parts)) {
     return JOB_DONE;
   }
   if (is_first) {

@@ -23,10 +23,9 @@ struct eval_job {
   bool drawn;     /* whether the job is a sample */
   core_draw draw; /* the rule for the numbers of a sample */
 
-  eval_layout layout;     /* layout of the current part of the reply */
-  uint8_t *reply;         /* [layout.payload_bytes], payload of the current part */
-  struct job_parts parts; /* the reply's parts, which count radii */
-  uint8_t *head;          /* albedos and errors of a first part that is not the last; else NULL */
+  eval_layout layout; /* layout of the current part of the reply */
+  uint8_t *reply;     /* [layout.payload_bytes], payload of the current part */
+  uint8_t *head;      /* albedos and errors of a first part that is not the last; else NULL */
 
   uint32_t channel;              /* the channel that is being evaluated */
   uint64_t index;                /* position in the part of the channel's next radius */

@@ -34,8 +34,7 @@ struct fit_job {
   uint64_t evaluation_radii; /* the cost of an evaluation, in radii of a dipole */
   uint64_t set_radii;        /* average cost of a set, in radii of a dipole */
   uint32_t residuals;        /* how many the reply has for each set: 0, or one for a reading */
-  struct job_parts parts;    /* of the sets */
-  uint64_t fitted;           /* how many sets of the part before index are a success */
+  uint64_t fitted;           /* how many sets of the part are a success so far */
   uint32_t notes;
 };
 
@@ -104,6 +103,7 @@ static enum job_outcome start_fit(struct job *job, const struct job_request *req
       !job_passes(job, job_admit(job, radii_of(fit), "set_count"))) {
     return JOB_REFUSED;
   }
+  fit->fitted = 0;
   fit->notes = 0;
   fit->refining = NULL;
   fit->search = NULL;
@@ -111,18 +111,11 @@ static enum job_outcome start_fit(struct job *job, const struct job_request *req
   job_init_other(job, &fit->lookup, request);
   /* A reply is larger than its request only if a set has few readings: many sets fit into a part. */
   const wire_fit_reply start = {.reading_count = fit->residuals};
-  job_parts_fit(&fit->parts, job, &schema_fit_reply, &start, 1, fit->request.fixed.set_count);
+  job_parts_fit(job, &schema_fit_reply, &start, 1, fit->request.fixed.set_count);
   return JOB_NEXT_PART;
 }
 
 /* ---- parts ----------------------------------------------------------------------------------- */
-
-static enum job_outcome begin_fit_part(struct job *job, uint8_t *payload) {
-  struct fit_job *fit = fit_of(job);
-  job_part_begin(&fit->parts, payload);
-  fit->fitted = 0;
-  return JOB_GOES_ON;
-}
 
 static enum job_outcome end_fit_part(struct fit_job *fit) {
   const wire_fit_reply start = {
@@ -130,7 +123,8 @@ static enum job_outcome end_fit_part(struct fit_job *fit) {
       .reading_count = fit->residuals,
       .notes = fit->notes,
   };
-  return job_part_end(&fit->parts, &fit->job, &schema_fit_reply, &start);
+  fit->fitted = 0;
+  return job_part_end(&fit->job, &schema_fit_reply, &start);
 }
 
 /* ---- fitting --------------------------------------------------------------------------------- */
@@ -155,12 +149,12 @@ struct set {
 
 static struct set next_set(const struct fit_job *fit) {
   const size_t readings = fit->request.design.reading_count;
-  const size_t at = (size_t)(fit->parts.first + fit->parts.index) * readings;
+  const size_t at = (size_t)(fit->job.parts.first + fit->job.parts.index) * readings;
   struct set set = {fit->request.values + at, fit->request.errors + at, NULL};
   if (fit->residuals > 0) {
     set.residuals =
-        (double *)(void *)(fit->parts.payload + fit_residuals_offset(fit->parts.count)) +
-        (size_t)fit->parts.index * readings;
+        (double *)(void *)(fit->job.parts.payload + fit_residuals_offset(fit->job.parts.count)) +
+        (size_t)fit->job.parts.index * readings;
   }
   return set;
 }
@@ -168,11 +162,11 @@ static struct set next_set(const struct fit_job *fit) {
 _Static_assert(offsetof(core_fit_result, notes) == WIRE_BYTES_fitted, "a result has its layout");
 
 static void put_result(struct fit_job *fit, const core_fit_result *result) {
-  memcpy(fit->parts.payload + WIRE_BYTES_fit_reply + fit->parts.index * WIRE_BYTES_fitted, result,
-         WIRE_BYTES_fitted);
+  memcpy(fit->job.parts.payload + WIRE_BYTES_fit_reply + fit->job.parts.index * WIRE_BYTES_fitted,
+         result, WIRE_BYTES_fitted);
   fit->fitted += result->status == CORE_FIT_STATUS_FITTED;
   fit->notes |= result->notes;
-  fit->parts.index++;
+  fit->job.parts.index++;
 }
 
 /* Begins to refine the next set from a result. */
@@ -226,7 +220,8 @@ static enum job_outcome refine_set(struct fit_job *fit) {
 
 /* Begins with the next set, or does a step of fitting or refining it. Adds what that cost to *spent,
  * in radii of a dipole. */
-static enum job_outcome fit_next(struct fit_job *fit, uint64_t *spent) {
+static enum job_outcome fit_next(struct job *job, uint64_t *spent) {
+  struct fit_job *fit = fit_of(job);
   if (fit->refining != NULL && fit->refining->goes_on) {
     *spent += PROFILE_RADII;
     return refine_set(fit);
@@ -254,17 +249,8 @@ static enum job_outcome step_fit(struct job *job, uint64_t *budget) {
   if (outcome != JOB_GOES_ON) {
     return outcome;
   }
-  uint64_t spent = JOB_STEP_RADII;
-  const uint64_t begun = fit->parts.index;
-  while (outcome == JOB_GOES_ON && fit->parts.index < fit->parts.count && spent < JOB_SLICE_RADII) {
-    outcome = fit_next(fit, &spent);
-  }
-  stats_add(&job->context->server->stats, STATS_SETS_FITTED, fit->parts.index - begun);
-  job_pay(job, (fit->parts.index - begun) * fit->set_radii);
-  *budget -= spent < *budget ? spent : *budget;
-  return outcome != JOB_GOES_ON                 ? outcome
-         : fit->parts.index == fit->parts.count ? end_fit_part(fit)
-                                                : JOB_GOES_ON;
+  outcome = job_part_run(job, budget, fit->set_radii, STATS_SETS_FITTED, fit_next);
+  return outcome == JOB_GOES_ON && job_part_is_done(job) ? end_fit_part(fit) : outcome;
 }
 
 static void end_fit(struct job *job) {
@@ -279,6 +265,6 @@ static void end_fit(struct job *job) {
 
 const struct job_kind job_kind_FIT = {.request = &schema_fit_request,
                                       .start = start_fit,
-                                      .begin_part = begin_fit_part,
+                                      .begin_part = job_part_begin,
                                       .step = step_fit,
                                       .end = end_fit};

@@ -33,8 +33,7 @@ struct tissue_fit {
   core_spectral *search; /* NULL before the first set */
   bool searches;         /* whether `search` has begun with the next set */
   uint64_t evaluation_radii;
-  struct job_parts parts; /* of the sets */
-  uint64_t fitted;        /* how many sets of the part before index are a success */
+  uint64_t fitted; /* how many sets of the part are a success so far */
 };
 
 JOB_STRUCTURE(struct tissue_fit, tissue_fit_of)
@@ -143,7 +142,7 @@ static wire_error check_request(struct tissue_fit *of, const struct job_request 
 
 static wire_fit_tissue_reply reply_of(const struct tissue_fit *of) {
   const uint32_t readings = of->fixed.place_count * of->fixed.wavelength_count;
-  return (wire_fit_tissue_reply){.count = of->parts.count,
+  return (wire_fit_tissue_reply){.count = of->job.parts.count,
                                  .fitted_count = of->fitted,
                                  .reading_count = of->fixed.residuals != 0 ? readings : 0,
                                  .sought_count = (uint16_t)of->fixed.sought_count,
@@ -160,8 +159,7 @@ static void release(struct tissue_fit *of) {
 static wire_error admit_sets(struct tissue_fit *of) {
   const double radii = EVALUATIONS * (double)of->evaluation_radii * (double)of->fixed.set_count;
   const wire_fit_tissue_reply start = reply_of(of);
-  return job_parts_fit(&of->parts, &of->job, &schema_fit_tissue_reply, &start, 1,
-                       of->fixed.set_count)
+  return job_parts_fit(&of->job, &schema_fit_tissue_reply, &start, 1, of->fixed.set_count)
              ? job_admit(&of->job, radii <= SMALL_RADII ? fmin(radii, JOB_SLICE_RADII) : radii,
                          "set_count")
              : wire_error_make(WIRE_STATUS_TOO_LARGE, "residuals",
@@ -174,7 +172,7 @@ static enum job_outcome start_tissue_fit(struct job *job, const struct job_reque
   of->search = NULL;
   of->searches = false;
   of->fitted = 0;
-  of->parts.count = 0;
+  of->job.parts.count = 0;
   if (!job_passes(job, check_request(of, from)) || !job_passes(job, admit_sets(of))) {
     release(of);
     return JOB_REFUSED;
@@ -185,21 +183,14 @@ static enum job_outcome start_tissue_fit(struct job *job, const struct job_reque
 
 /* ---- fitting --------------------------------------------------------------------------------- */
 
-static enum job_outcome begin_tissue_part(struct job *job, uint8_t *payload) {
-  struct tissue_fit *of = tissue_fit_of(job);
-  job_part_begin(&of->parts, payload);
-  of->fitted = 0;
-  return JOB_GOES_ON;
-}
-
 _Static_assert(offsetof(core_spectral_result, unknown_count) == WIRE_BYTES_fitted_tissue &&
                    sizeof(core_spectral_estimate) == WIRE_BYTES_tissue_estimate,
                "a result has its layout");
 
 static void put_result(struct tissue_fit *of, const schema_layout *layout,
                        const core_spectral_result *result) {
-  uint8_t *payload = of->parts.payload;
-  const size_t n = result->unknown_count, set = (size_t)of->parts.index++;
+  uint8_t *payload = of->job.parts.payload;
+  const size_t n = result->unknown_count, set = (size_t)of->job.parts.index++;
   memcpy(payload + layout->parts[SETS].at + set * WIRE_BYTES_fitted_tissue, result,
          WIRE_BYTES_fitted_tissue);
   memcpy(payload + layout->parts[ESTIMATES].at + set * n * WIRE_BYTES_tissue_estimate,
@@ -210,15 +201,17 @@ static void put_result(struct tissue_fit *of, const schema_layout *layout,
 }
 
 /* Does a step of the next set. */
-static void fit_next(struct tissue_fit *of, const core_fit *places) {
+static enum job_outcome fit_next(struct job *job, uint64_t *spent) {
+  struct tissue_fit *of = tissue_fit_of(job);
+  const core_fit *places = *(core_fit *const *)lookup_thing(&of->lookup);
   const wire_fit_tissue_reply start = reply_of(of);
   const size_t readings = (size_t)of->fixed.place_count * of->fixed.wavelength_count;
-  const size_t set = (size_t)(of->parts.first + of->parts.index);
+  const size_t set = (size_t)(of->job.parts.first + of->job.parts.index);
   core_spectral_result result;
   schema_layout layout;
   schema_lay_out(&schema_fit_tissue_reply, &start, UINT64_MAX, &layout, NULL);
-  double *residuals = (double *)(void *)(of->parts.payload + layout.parts[RESIDUALS].at);
-  residuals = start.reading_count > 0 ? residuals + of->parts.index * readings : NULL;
+  double *residuals = (double *)(void *)(of->job.parts.payload + layout.parts[RESIDUALS].at);
+  residuals = start.reading_count > 0 ? residuals + of->job.parts.index * readings : NULL;
   of->searches =
       of->searches
           ? core_spectral_step(of->search, &result, residuals)
@@ -227,31 +220,27 @@ static void fit_next(struct tissue_fit *of, const core_fit *places) {
   if (!of->searches) {
     put_result(of, &layout, &result);
   }
+  *spent += of->evaluation_radii;
+  return JOB_GOES_ON;
 }
 
 static enum job_outcome step_tissue_fit(struct job *job, uint64_t *budget) {
   struct tissue_fit *of = tissue_fit_of(job);
-  const enum job_outcome outcome =
+  enum job_outcome outcome =
       of->lookup.entry != NULL
           ? JOB_GOES_ON
           : job_get(job, &of->lookup, &places_kind, of->places, place_bytes(of), CACHE_SLOW);
   if (outcome != JOB_GOES_ON) {
     return outcome;
   }
-  uint64_t spent = JOB_STEP_RADII;
-  const uint64_t begun = of->parts.index;
-  while (of->parts.index < of->parts.count && spent < JOB_SLICE_RADII) {
-    fit_next(of, *(core_fit *const *)lookup_thing(&of->lookup));
-    spent += of->evaluation_radii;
-  }
-  stats_add(&job->context->server->stats, STATS_SETS_FITTED, of->parts.index - begun);
-  job_pay(job, (of->parts.index - begun) * EVALUATIONS * of->evaluation_radii);
-  *budget -= spent < *budget ? spent : *budget;
-  if (of->parts.index < of->parts.count) {
-    return JOB_GOES_ON;
+  outcome =
+      job_part_run(job, budget, EVALUATIONS * of->evaluation_radii, STATS_SETS_FITTED, fit_next);
+  if (!job_part_is_done(job)) {
+    return outcome;
   }
   const wire_fit_tissue_reply start = reply_of(of);
-  return job_part_end(&of->parts, job, &schema_fit_tissue_reply, &start);
+  of->fitted = 0;
+  return job_part_end(job, &schema_fit_tissue_reply, &start);
 }
 
 static void end_tissue_fit(struct job *job) {
@@ -262,6 +251,6 @@ static void end_tissue_fit(struct job *job) {
 
 const struct job_kind job_kind_FIT_TISSUE = {.request = &schema_fit_tissue_request,
                                              .start = start_tissue_fit,
-                                             .begin_part = begin_tissue_part,
+                                             .begin_part = job_part_begin,
                                              .step = step_tissue_fit,
                                              .end = end_tissue_fit};

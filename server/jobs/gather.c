@@ -38,7 +38,6 @@ struct gather_job {
   uint64_t counted;     /* number of queries whose cost has been counted */
   uint64_t query_radii; /* the mean cost of a query, in radii of a dipole; 0 until it is known */
   bool whole;           /* whether parts are not cut by the time that they take */
-  struct job_parts parts;
   uint32_t piece;       /* of the part, if it is one query that takes long, from 0 */
   uint32_t piece_count; /* each a part of the reply, of which the last has the sum; else 1 */
   uint64_t index;       /* index of the next query in the part's order */
@@ -194,9 +193,9 @@ static void cut_reply(struct gather_job *gather) {
   const uint64_t in_time = gather->whole ? UINT64_MAX : PART_RADII / gather->query_radii;
   most = most < GATHER_PART_QUERIES ? most : GATHER_PART_QUERIES;
   most = most <= in_time ? most : in_time > 0 ? in_time : 1;
-  job_parts_cut(&gather->parts, fixed->query_count, most);
+  job_parts_cut(&gather->job.parts, fixed->query_count, most);
   const uint64_t pieces = 1 + gather->query_radii / PART_RADII;
-  const uint64_t pieces_most = UINT32_MAX / gather->parts.part_count;
+  const uint64_t pieces_most = UINT32_MAX / gather->job.parts.part_count;
   gather->piece = 0;
   gather->piece_count = (uint32_t)(most > 1 || gather->whole ? 1
                                    : pieces < pieces_most    ? pieces
@@ -236,11 +235,11 @@ static void count_cost(struct gather_job *gather) {
 
 /* Returns how many queries the present part holds. */
 static uint64_t computed_count(const struct gather_job *gather) {
-  return gather->piece + 1 == gather->piece_count ? gather->parts.count : 0;
+  return gather->piece + 1 == gather->piece_count ? gather->job.parts.count : 0;
 }
 
 static const double *queries_of(const struct gather_job *gather) {
-  return gather->request.queries + gather->parts.first * GATHER_AXES;
+  return gather->request.queries + gather->job.parts.first * GATHER_AXES;
 }
 
 /* Begins a part. */
@@ -251,7 +250,7 @@ static void begin_sums(struct gather_job *gather) {
   if (gather->piece == 0) {
     gather->index = 0;
     work->done_radii = 0;
-    core_gather_order(points_found(&work->set), (size_t)gather->parts.count, queries_of(gather),
+    core_gather_order(points_found(&work->set), (size_t)gather->job.parts.count, queries_of(gather),
                       work->order);
   }
 }
@@ -292,7 +291,7 @@ static enum job_outcome prepare_next(struct gather_job *gather) {
 static void put_head(const struct gather_job *gather, uint8_t *payload) {
   const struct gather_work *work = gather->work;
   const wire_gather_request *requested = &gather->request.fixed;
-  const struct job_parts *parts = &gather->parts;
+  const struct job_parts *parts = &gather->job.parts;
   wire_gather_reply fixed = {.model = requested->model,
                              .evaluator = requested->evaluator,
                              .moments = requested->moments,
@@ -327,7 +326,7 @@ static enum job_outcome put_gather(struct job *job, uint8_t *payload) {
   gather->piece++;
   if (gather->piece == gather->piece_count) {
     gather->piece = 0;
-    if (!job_parts_next(&gather->parts)) {
+    if (!job_parts_next(&gather->job.parts)) {
       return JOB_DONE;
     }
   }
@@ -347,7 +346,7 @@ static void note_bounds(struct gather_work *work, const uint32_t *order, size_t 
 /* Returns whether the present part is complete: the last one of a query when its sum is known, the
  * ones before it when as much has been done as they stand for. */
 static bool part_is_done(const struct gather_job *gather) {
-  const bool known = gather->index == gather->parts.count;
+  const bool known = gather->index == gather->job.parts.count;
   const double until = ((double)gather->piece + 1) * (double)PART_RADII;
   return known || (gather->piece + 1 < gather->piece_count && gather->work->done_radii >= until);
 }
@@ -360,7 +359,7 @@ static enum job_outcome gather_slice(struct gather_job *gather, uint64_t *budget
   double left = slice;
   const size_t n =
       core_gather_on(work->sum, points_found(&work->set), work->scratch,
-                     (size_t)(gather->parts.count - gather->index), order, queries_of(gather),
+                     (size_t)(gather->job.parts.count - gather->index), order, queries_of(gather),
                      work->sums, work->bounds, &work->visits, &left);
   note_bounds(work, order, n, channels);
   gather->index += n;

@@ -25,8 +25,7 @@ struct invert_job {
   bool slow;                     /* whether the profiles of probes are prepared on another thread */
   struct profiles_lookup lookup; /* profiles of probes that are slow to prepare */
   uint64_t probe_radii;          /* cost of a probe, in radii of a dipole */
-  struct job_parts parts;        /* parts of the reply; entries are media */
-  uint64_t missing;              /* how many media of the part before index do not exist */
+  uint64_t missing;              /* how many media of the part do not exist, so far */
 };
 
 JOB_STRUCTURE(struct invert_job, invert_of)
@@ -97,23 +96,17 @@ static enum job_outcome start_invert(struct job *job, const struct job_request *
   if (!job_passes(job, job_admit(job, radii, "medium_count"))) {
     return JOB_REFUSED;
   }
+  invert->missing = 0;
   invert->reach_known = false;
   invert->seeking = false;
   job_init_lookup(job, &invert->lookup, request);
   profiles_start(&invert->lookup, fixed->model, fixed->moments, CORE_EVALUATOR_F64, &none);
   const wire_invert_reply start = {.count = 0};
-  job_parts_fit(&invert->parts, job, &schema_invert_reply, &start, 1, fixed->medium_count);
+  job_parts_fit(job, &schema_invert_reply, &start, 1, fixed->medium_count);
   return JOB_NEXT_PART;
 }
 
 /* ---- parts ----------------------------------------------------------------------------------- */
-
-static enum job_outcome begin_invert_part(struct job *job, uint8_t *payload) {
-  struct invert_job *invert = invert_of(job);
-  job_part_begin(&invert->parts, payload);
-  invert->missing = 0;
-  return JOB_GOES_ON;
-}
 
 static enum job_outcome end_invert_part(struct invert_job *invert) {
   const wire_invert_request *fixed = &invert->fixed;
@@ -125,7 +118,8 @@ static enum job_outcome end_invert_part(struct invert_job *invert) {
       .albedo_least = core_inverter_seen(&invert->inverter, invert->inverter.albedo_least),
       .albedo_most = core_inverter_seen(&invert->inverter, invert->inverter.albedo_most),
   };
-  return job_part_end(&invert->parts, &invert->job, &schema_invert_reply, &start);
+  invert->missing = 0;
+  return job_part_end(&invert->job, &schema_invert_reply, &start);
 }
 
 /* ---- looking for media ----------------------------------------------------------------------- */
@@ -136,12 +130,13 @@ static void put_medium(struct invert_job *invert) {
   const bool found = inverter->found;
   const double results[] = {inverter->medium.sigma_a_per_mm, inverter->medium.sigma_s_per_mm,
                             found ? core_inverter_seen(inverter, inverter->albedo) : (double)NAN};
-  double *arrays = (double *)(void *)(invert->parts.payload + WIRE_BYTES_invert_reply);
+  double *arrays = (double *)(void *)(invert->job.parts.payload + WIRE_BYTES_invert_reply);
   for (size_t i = 0; i < sizeof results / sizeof results[0]; i++) {
-    arrays[i * invert->parts.count + invert->parts.index] = found ? results[i] : (double)NAN;
+    arrays[i * invert->job.parts.count + invert->job.parts.index] =
+        found ? results[i] : (double)NAN;
   }
   invert->missing += !found;
-  invert->parts.index++;
+  invert->job.parts.index++;
   invert->seeking = false;
 }
 
@@ -149,7 +144,7 @@ static void put_medium(struct invert_job *invert) {
 static enum job_outcome try_medium(struct invert_job *invert, double *albedo) {
   struct job_context *context = invert->job.context;
   const wire_invert_request *fixed = &invert->fixed;
-  const uint64_t i = invert->parts.first + invert->parts.index;
+  const uint64_t i = invert->job.parts.first + invert->job.parts.index;
   if (!invert->slow) {
     const core_fault fault = core_albedo(context->server->isa, fixed->model, fixed->moments,
                                          invert->inverter.light, &invert->inverter.medium, albedo);
@@ -181,8 +176,10 @@ static enum job_outcome take_albedo(struct invert_job *invert, double albedo) {
 
 /* Does one step of the search: begins with the next medium, or probes once more. An albedo that the
  * model cannot reach needs no probe. */
-static enum job_outcome seek_medium(struct invert_job *invert) {
-  const uint64_t i = invert->parts.first + invert->parts.index;
+static enum job_outcome seek_medium(struct job *job, uint64_t *spent) {
+  struct invert_job *invert = invert_of(job);
+  const uint64_t i = invert->job.parts.first + invert->job.parts.index;
+  *spent += invert->probe_radii;
   if (invert->reach_known && !invert->seeking) {
     invert->seeking = true;
     if (core_inverter_seek(&invert->inverter, invert->albedos[i], invert->fixed.given,
@@ -201,21 +198,9 @@ static enum job_outcome seek_medium(struct invert_job *invert) {
 
 static enum job_outcome step_invert(struct job *job, uint64_t *budget) {
   struct invert_job *invert = invert_of(job);
-  uint64_t spent = JOB_STEP_RADII;
-  enum job_outcome outcome = JOB_GOES_ON;
-  const uint64_t begun = invert->parts.index;
-  while (outcome == JOB_GOES_ON && invert->parts.index < invert->parts.count &&
-         spent < JOB_SLICE_RADII) {
-    outcome = seek_medium(invert);
-    spent += invert->probe_radii;
-  }
-  const uint64_t done = invert->parts.index - begun;
-  stats_add(&job->context->server->stats, STATS_MEDIA_INVERTED, done);
-  job_pay(job, done * medium_radii(invert));
-  *budget -= spent < *budget ? spent : *budget;
-  return outcome == JOB_GOES_ON && invert->parts.index == invert->parts.count
-             ? end_invert_part(invert)
-             : outcome;
+  const enum job_outcome outcome =
+      job_part_run(job, budget, medium_radii(invert), STATS_MEDIA_INVERTED, seek_medium);
+  return outcome == JOB_GOES_ON && job_part_is_done(job) ? end_invert_part(invert) : outcome;
 }
 
 static void end_invert(struct job *job) {
@@ -224,6 +209,6 @@ static void end_invert(struct job *job) {
 
 const struct job_kind job_kind_INVERT = {.request = &schema_invert_request,
                                          .start = start_invert,
-                                         .begin_part = begin_invert_part,
+                                         .begin_part = job_part_begin,
                                          .step = step_invert,
                                          .end = end_invert};

@@ -237,8 +237,8 @@ bool job_parts_next(struct job_parts *parts) {
   return true;
 }
 
-bool job_parts_fit(struct job_parts *parts, struct job *job, const schema_payload *reply,
-                   const void *start, unsigned unit, uint64_t total) {
+bool job_parts_fit(struct job *job, const schema_payload *reply, const void *start, unsigned unit,
+                   uint64_t total) {
   const struct options *options = &job->context->server->options;
   uint64_t most = total;
   if (schema_part_bytes(reply, start, total) > options->max_frame_bytes) {
@@ -247,13 +247,34 @@ bool job_parts_fit(struct job_parts *parts, struct job *job, const schema_payloa
       return false;
     }
   }
-  job_parts_cut(parts, total, most);
-  job->part_bytes = schema_part_bytes(reply, start, parts->count);
+  job_parts_cut(&job->parts, total, most);
+  job->part_bytes = schema_part_bytes(reply, start, job->parts.count);
   return true;
 }
 
-enum job_outcome job_part_end(struct job_parts *parts, struct job *job, const schema_payload *reply,
-                              const void *start) {
+enum job_outcome job_part_begin(struct job *job, uint8_t *payload) {
+  job->parts.payload = payload;
+  job->parts.index = 0;
+  return JOB_GOES_ON;
+}
+
+enum job_outcome job_part_run(struct job *job, uint64_t *budget, uint64_t radii,
+                              enum stats_index done,
+                              enum job_outcome (*next)(struct job *job, uint64_t *spent)) {
+  uint64_t spent = JOB_STEP_RADII;
+  const uint64_t begun = job->parts.index;
+  enum job_outcome outcome = JOB_GOES_ON;
+  while (outcome == JOB_GOES_ON && !job_part_is_done(job) && spent < JOB_SLICE_RADII) {
+    outcome = next(job, &spent);
+  }
+  stats_add(&job->context->server->stats, done, job->parts.index - begun);
+  job_pay(job, (job->parts.index - begun) * radii);
+  *budget -= spent < *budget ? spent : *budget;
+  return outcome;
+}
+
+enum job_outcome job_part_end(struct job *job, const schema_payload *reply, const void *start) {
+  struct job_parts *parts = &job->parts;
   const wire_part head = {parts->part, parts->part_count, parts->first, parts->count};
   memmove(parts->payload, start, reply->fixed_bytes); /* it may be written already */
   wire_put_part(parts->payload, &head);

@@ -115,6 +115,18 @@ struct job_kind {
   bool detached;
 };
 
+/* The parts of a reply that is a list of radii, sets, media or values. */
+struct job_parts {
+  uint64_t most;  /* number of entries in each part except the last */
+  uint64_t first; /* position in the list of the current part's first entry */
+  uint64_t count; /* number of entries in the current part */
+  uint64_t left;  /* number of entries after the current part */
+  uint32_t part;  /* number of the current part, from 0 */
+  uint32_t part_count;
+  uint8_t *payload; /* of the current part */
+  uint64_t index;   /* position in the part of the entry that is next */
+};
+
 /* The first member of each kind's own job structure. */
 struct job {
   const struct job_kind *kind;
@@ -129,36 +141,33 @@ struct job {
   struct cache_owner *owner; /* the client, whose turns its lookups use */
   bool reader_idle;          /* whether all parts are sent, so that it may report progress */
   wire_error refusal;        /* why the job is refused; set with JOB_REFUSED */
-};
-
-/* The parts of a reply that is a list of radii, sets, media or values. */
-struct job_parts {
-  uint64_t most;  /* number of entries in each part except the last */
-  uint64_t first; /* position in the list of the current part's first entry */
-  uint64_t count; /* number of entries in the current part */
-  uint64_t left;  /* number of entries after the current part */
-  uint32_t part;  /* number of the current part, from 0 */
-  uint32_t part_count;
-  uint8_t *payload; /* of the current part */
-  uint64_t index;   /* position in the part of the entry that is next */
+  struct job_parts parts;
 };
 
 /* Cuts a reply into parts: one if it fits into a frame, else parts of up to max_part_bytes, which have
  * a multiple of `unit` entries; sets job->part_bytes. start: the reply's structure, which begins with
  * wire_part. Returns false if not even one unit fits. */
-bool job_parts_fit(struct job_parts *parts, struct job *job, const schema_payload *reply,
-                   const void *start, unsigned unit, uint64_t total);
+bool job_parts_fit(struct job *job, const schema_payload *reply, const void *start, unsigned unit,
+                   uint64_t total);
 
-/* Begins to write the current part at `payload`. */
-static inline void job_part_begin(struct job_parts *parts, uint8_t *payload) {
-  parts->payload = payload;
-  parts->index = 0;
+/* Begins to write the current part at `payload`: begin_part() of jobs that need no more. */
+enum job_outcome job_part_begin(struct job *job, uint8_t *payload);
+
+/* Does the next entries of the part, up to a slice. next() does one, or a step of it, and adds its cost
+ * to *spent, in radii of a dipole. radii: what an entry that is done has paid; done: counts them. Returns
+ * what next() does. */
+enum job_outcome job_part_run(struct job *job, uint64_t *budget, uint64_t radii,
+                              enum stats_index done,
+                              enum job_outcome (*next)(struct job *job, uint64_t *spent));
+
+/* Returns whether the part has all entries. */
+static inline bool job_part_is_done(const struct job *job) {
+  return job->parts.index == job->parts.count;
 }
 
 /* Writes the structure with which the current part begins, and goes on to the next part: sets
  * job->part_bytes, or returns DONE. */
-enum job_outcome job_part_end(struct job_parts *parts, struct job *job, const schema_payload *reply,
-                              const void *start);
+enum job_outcome job_part_end(struct job *job, const schema_payload *reply, const void *start);
 
 /* Cuts a list into fewer than 2^32 parts, and begins with the first. most is 0 only if total is 0. */
 void job_parts_cut(struct job_parts *parts, uint64_t total, uint64_t most);

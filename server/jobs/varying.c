@@ -11,7 +11,6 @@ struct varying_job {
   struct lookup ruler;  /* surface of transport, if the model error needs it */
   bool compares;        /* whether the model error needs it */
   uint64_t value_radii; /* the cost of a value, in radii of a dipole */
-  struct job_parts parts;
   varying_part part;
 };
 
@@ -52,8 +51,7 @@ static enum job_outcome start_varying(struct job *job, const struct job_request 
   }
   const wire_varying_reply start = {
       .evaluator = fixed->evaluator, .wanted = fixed->wanted, .coefficients = fixed->coefficients};
-  if (!job_parts_fit(&varying->parts, job, &schema_varying_reply, &start, VARYING_PART_VALUES,
-                     fixed->value_count)) {
+  if (!job_parts_fit(job, &schema_varying_reply, &start, VARYING_PART_VALUES, fixed->value_count)) {
     return job_refuse(job, wire_error_make(WIRE_STATUS_TOO_LARGE, "wanted",
                                            "fewer quantities, or values: they do not fit into a "
                                            "part (max_part_bytes)"));
@@ -75,17 +73,16 @@ static enum job_outcome start_varying(struct job *job, const struct job_request 
 
 static enum job_outcome begin_varying_part(struct job *job, uint8_t *payload) {
   struct varying_job *varying = varying_of(job);
-  varying_part_start(&varying->part, &varying->request, payload, varying->parts.first,
-                     varying->parts.count);
-  job_part_begin(&varying->parts, payload);
-  return JOB_GOES_ON;
+  varying_part_start(&varying->part, &varying->request, payload, varying->job.parts.first,
+                     varying->job.parts.count);
+  return job_part_begin(job, payload);
 }
 
 static enum job_outcome end_varying_part(struct varying_job *varying) {
-  struct job_parts *parts = &varying->parts;
+  struct job_parts *parts = &varying->job.parts;
   varying_part_end(&varying->part, &varying->request, varyings_found(&varying->lookup),
                    varyings_found(&varying->ruler), parts->part, parts->part_count);
-  return job_part_end(parts, &varying->job, &schema_varying_reply, parts->payload);
+  return job_part_end(&varying->job, &schema_varying_reply, parts->payload);
 }
 
 /* Prepares transport for the comparison. If no surface of it can be made, there is none. */
@@ -127,7 +124,7 @@ static enum job_outcome prepare_media(struct varying_job *varying) {
 }
 
 static size_t slice_length(const struct varying_job *varying) {
-  const uint64_t left = varying->part.count - varying->parts.index;
+  const uint64_t left = varying->part.count - varying->job.parts.index;
   uint64_t most =
       JOB_SLICE_RADII / varying->value_radii / VARYING_PART_VALUES * VARYING_PART_VALUES;
   most = most < VARYING_PART_VALUES ? VARYING_PART_VALUES : most;
@@ -143,14 +140,15 @@ static enum job_outcome step_varying(struct job *job, uint64_t *budget) {
   if (outcome == JOB_GOES_ON) {
     const size_t n = slice_length(varying);
     varying_part_evaluate(&varying->part, &varying->request, varyings_found(&varying->lookup),
-                          varyings_found(&varying->ruler), varying->parts.index, n,
+                          varyings_found(&varying->ruler), varying->job.parts.index, n,
                           job->context->radii);
-    varying->parts.index += n;
+    varying->job.parts.index += n;
     spent += n * varying->value_radii;
     job_pay(job, n * varying->value_radii);
     struct stats *stats = &job->context->server->stats;
     stats_count_radii(stats, varying->request.fixed.model, n);
-    outcome = varying->parts.index < varying->part.count ? JOB_GOES_ON : end_varying_part(varying);
+    outcome =
+        varying->job.parts.index < varying->part.count ? JOB_GOES_ON : end_varying_part(varying);
   }
   *budget -= spent < *budget ? spent : *budget;
   return outcome;
