@@ -113,39 +113,22 @@ bool points_is_late(const struct points *points, uint64_t now_ms) {
 
 /* ---- freeing --------------------------------------------------------------------------------- */
 
-struct burden {
-  void (*destroy)(void *what);
-  void *what;
-};
-
-static void *destroy_aside(void *argument) {
-  const struct burden burden = *(struct burden *)argument;
-  free(argument);
-  burden.destroy(burden.what);
-  return NULL;
-}
-
-static void free_aside(void (*destroy)(void *what), void *what, uint64_t bytes) {
-  struct burden *burden = bytes > FREED_AT_ONCE_BYTES ? malloc(sizeof *burden) : NULL;
+/* Calls destroy(what), which returns NULL, on a thread of its own if that takes long. */
+static void free_aside(void *(*destroy)(void *what), void *what, uint64_t bytes) {
   pthread_t thread;
-  if (burden == NULL) {
+  if (bytes > FREED_AT_ONCE_BYTES && pthread_create(&thread, NULL, destroy, what) == 0) {
+    pthread_detach(thread);
+  } else {
     destroy(what);
-    return;
   }
-  *burden = (struct burden){destroy, what};
-  if (pthread_create(&thread, NULL, destroy_aside, burden) != 0) {
-    free(burden);
-    destroy(what);
-    return;
-  }
-  pthread_detach(thread);
 }
 
-static void destroy_points(void *what) {
+static void *destroy_points(void *what) {
   struct points *points = what;
   free(points->xyz);
   free(points->power);
   free(points);
+  return NULL;
 }
 
 static void hold_set(struct points *points) {
@@ -210,8 +193,9 @@ static uint64_t tree_bytes(const void *thing) {
   return core_gather_points_bytes(*(core_gather_points *const *)thing);
 }
 
-static void destroy_tree(void *tree) {
+static void *destroy_tree(void *tree) {
   core_gather_points_free(tree);
+  return NULL;
 }
 
 static void free_tree(void *thing) {
