@@ -29,7 +29,10 @@ bool tls_is_wanted(const struct options *options) {
 #define ROLE_OID "1.3.6.1.4.1.50316.802.1"
 
 enum { CERTIFICATES_BYTES = 32768, CHAIN_LENGTH = 8 }; /* limits of a client's certificates */
-enum { FEED_BYTES = 16384 }; /* most bytes that one call decrypts: about a record */
+enum {
+  FEED_BYTES = 16384, /* most bytes that one call decrypts: about a record */
+  KEPT_BYTES = 512,   /* memory that a silent connection keeps for the next ones */
+};
 enum { SUBJECT_BYTES = 1024, ROLE_BYTES = 128 };
 
 static int roles_index; /* index of the roles in an SSL_CTX, which frees them */
@@ -327,10 +330,20 @@ bool tls_session_is_blocked(const struct tls_session *session) {
 
 /* Frees the memory of bytes that OpenSSL has taken: a silent connection holds little. */
 static void release_memory(const SSL *ssl) {
-  BUF_MEM *fresh = BUF_MEM_new();
-  if (fresh != NULL) {
+  BUF_MEM *memory, *fresh;
+  BIO_get_mem_ptr(SSL_get_rbio(ssl), &memory);
+  if (memory->max > KEPT_BYTES && (fresh = BUF_MEM_new()) != NULL) {
     BIO_set_mem_buf(SSL_get_rbio(ssl), fresh, BIO_CLOSE);
   }
+}
+
+bool tls_session_holds(const struct tls_session *session) {
+  const SSL *ssl = (const SSL *)(const void *)session;
+  const bool holds = BIO_pending(SSL_get_rbio(ssl)) > 0 || SSL_has_pending(ssl);
+  if (!holds) {
+    release_memory(ssl);
+  }
+  return holds;
 }
 
 /* Returns what the failure of a read or a write means. */

@@ -58,6 +58,9 @@ unsigned tls_session_roles(const struct tls_session *session);
 ssize_t tls_session_read(struct tls_session *session, void *to, size_t bytes);
 ssize_t tls_session_write(struct tls_session *session, const void *from, size_t bytes);
 
+/* Returns whether OpenSSL holds bytes that no read has returned. */
+bool tls_session_holds(const struct tls_session *session);
+
 /* Returns whether the last call waits until the socket can be written to; also a read does, which
  * has to reply to an update of keys first. */
 bool tls_session_is_blocked(const struct tls_session *session);

@@ -232,11 +232,11 @@ static bool set_events(struct transport *t) {
 }
 
 /* Reads what has arrived, while the owner has room and wants it, up to the first record without
- * content. */
+ * content. The poll tells of bytes that the socket still has. */
 static void read_tls(struct transport *t) {
   size_t left = TLS_READ_BYTES;
   t->has_more = true;
-  while (t->reading && left > TLS_RECORD_BYTES && !t->closing) {
+  while (t->has_more && t->reading && left > TLS_RECORD_BYTES && !t->closing) {
     left -= TLS_RECORD_BYTES;
     uint8_t *room = NULL;
     const size_t bytes = find_room(t, &room);
@@ -252,6 +252,7 @@ static void read_tls(struct transport *t) {
       return;
     }
     left -= got > 0 ? (size_t)got : 0;
+    t->has_more = got < 0 || t->tells_empty || tls_session_holds(t->tls);
     tell_received(t, got);
   }
 }
