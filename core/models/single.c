@@ -12,20 +12,12 @@
  *
  *   R(r) = sigma_s / r  int_(u_c)^inf e^(-sigma_t r e^u) p T tanh(u) / cosh(u) du
  *
- * with cosh(u_c) = eta for eta > 1 and u_c = 0 otherwise. Only the exponential depends on r. A
- * quadrature rule therefore makes R(r) a sum over nodes, sigma_s / r sum w e^(-sigma_t r E) with E
- * = e^u. The energy of this sum within r is 2 pi sigma_s / sigma_t sum w / E (1 - e^(-sigma_t r
- * E)).
+ * with cosh(u_c) = eta for eta > 1 and u_c = 0 otherwise. Only the exponential depends on r. The
+ * trapezoidal rule in ln(E - e^(u_c)), E = e^u, therefore makes R(r) a sum over nodes, sigma_s / r sum
+ * w e^(-sigma_t r E), as core/transport/single.h does it. The energy of this sum within r is 2 pi
+ * sigma_s / sigma_t sum w / E (1 - e^(-sigma_t r E)).
  *
- * T behaves like a square root at the critical angle, and for eta < 1 nearly so at grazing
- * incidence. With s = sqrt(|1 - eta^2|) / eta, the substitutions
- *
- *   eta > 1: mu = s cosh(v), cosine outside = eta s sinh(v)
- *   eta < 1: mu = s sinh(v), cosine outside = eta s cosh(v)
- *
- * remove these roots. The code uses v in the zone from u_c to u_c + ZONE, whose panels shrink
- * towards u_c, because the tail of R at large r comes from there. This model uses sigma_s and g of
- * the medium itself, without a similarity relation.
+ * This model uses sigma_s and g of the medium itself, without a similarity relation.
  *
  * R is infinite at r = 0, where 2 pi r R is finite.
  *
@@ -62,13 +54,6 @@ enum coefficient {
 /* Up to this tau the nodes resolve the integrand next to the critical angle. */
 #define FAR 1e12
 
-/* TAIL_FINE: g below which the tail has panels of width 1, up to TAIL_PEAK beyond the largest value
- * of the phase function. */
-#define TAIL_FINE (-0.25)
-#define TAIL_PEAK 6.0
-
-enum { ZONE_PANELS = 18, TAIL_PANELS_MAX = 56 };
-
 #ifdef CORE_ISA
 
 #include "core/kernel.h"
@@ -90,28 +75,33 @@ static inline double node(const double *c, size_t k, int field) {
   return c[NODES_BEGIN + k * NODE_FIELDS + (size_t)field];
 }
 
+/* Returns e^-x. From x = 600 on no term counts, and products of numbers that underflow take long. */
+static inline real_exp_values falling(double x) {
+  return real_exp(-real_min(x, 600));
+}
+
 /* The terms of the sums over the nodes at tau = sigma_t r: R_term() and slope_term() return theirs
  * times e^(tau e^(u_c)), energy_term() without that factor. */
 static inline double R_term(const double *c, size_t k, double tau) {
-  return node(c, k, NODE_WEIGHT) * real_exp(-tau * node(c, k, NODE_FURTHER)).exp;
+  return node(c, k, NODE_WEIGHT) * falling(tau * node(c, k, NODE_FURTHER)).exp;
 }
 
 /* Returns a term of -dR/dr, (1 + tau E) w e^(-tau E), times e^(tau e^(u_c)). */
 static inline double slope_term(const double *c, size_t k, double tau) {
   const double further = node(c, k, NODE_FURTHER);
   const double falls = real_fma(tau, further + c[EXPONENT], 1);
-  return node(c, k, NODE_WEIGHT) * (falls * real_exp(-tau * further).exp);
+  return node(c, k, NODE_WEIGHT) * (falls * falling(tau * further).exp);
 }
 
 /* Returns a term of -d / d ln tau, times e^(tau e^(u_c)), without that of this factor. */
 static inline double fall_term(const double *c, size_t k, double tau) {
   const double further = tau * node(c, k, NODE_FURTHER);
-  return node(c, k, NODE_WEIGHT) * (further * real_exp(-further).exp);
+  return node(c, k, NODE_WEIGHT) * (further * falling(further).exp);
 }
 
 static inline double energy_term(const double *c, size_t k, double tau) {
   const double further = node(c, k, NODE_FURTHER);
-  return node(c, k, NODE_ENERGY) * real_exp(-tau * (further + c[EXPONENT])).one_minus_exp;
+  return node(c, k, NODE_ENERGY) * falling(tau * (further + c[EXPONENT])).one_minus_exp;
 }
 
 BLOCK_SUM(sum_R, node_count, R_term)
@@ -218,15 +208,17 @@ CORE_KERNEL_TABLE_NONE(single);
 #include <stdlib.h>
 
 #define CORE_REAL 64
-#include "core/gauss.h"
 #include "core/kernel.h"
+#include "core/transport/single.h"
 
 #define SINGLE_ETA_MIN 0.1
 #define SINGLE_ETA_MAX 10
 #define ALBEDO_LEAST 1e-250
-#define ZONE 0.5
-/* the distance in mu from the critical angle shrinks by this factor from panel to panel */
-#define ZONE_SHRINK 0.25
+/* The nodes are STEP apart in ln(E - e^(u_c)), from FIRST to LAST. For g near -1 the integrand first rises
+ * as the phase function does, up to E = 2 / (1 + g), and LAST is that much farther. */
+#define STEP 0.24
+#define FIRST (-53.0)
+#define LAST 36.0
 /* cost of one value in kernel evaluations of a dipole, measured with `build/bench kernel` */
 #define COST 110
 
@@ -243,118 +235,13 @@ core_fault core_single_check(const core_inputs *inputs, core_radii_range *radii)
   return (core_fault){0};
 }
 
-static double inverse_sinh(double y) {
-  return real_log(y + sqrt(fma(y, y, 1)), 0);
-}
-
-struct rule {
-  double eta;
-  double g;
-  double least; /* e^(u_c) */
-  double *next; /* where add_node() writes the next node */
-};
-
-/* Adds a node: mu is the cosine inside, `outside` the cosine outside, q = 1 / cosh(u), E = e^u, and
- * `weight` the quadrature weight for du. */
-static void add_node(struct rule *rule, double mu, double outside, double q, double E,
-                     double weight) {
-  const double eta = rule->eta;
-  const double s = fma(eta, mu, outside);
-  const double p = fma(eta, outside, mu);
-  /* the Fresnel transmittance (T_s + T_p) / 2 */
-  const double transmitted = 2 * eta * mu * outside * (1 / (s * s) + 1 / (p * p));
-  /* squared = 1 + g^2 + 2 g mu; for g < 0 that form would cancel, so it is written with 1 - mu = 2
-   * / (1 + E^2). */
-  const double g = rule->g;
+/* Returns the phase function of light that leaves at the cosine mu, with E = e^u. squared = 1 + g^2 + 2
+ * g mu; for g < 0 that form would cancel, so it is written with 1 - mu = 2 / (1 + E^2). */
+static double phase_at(double g, double mu, double E) {
   const double backward = (1 + g) * (1 + g) - 4 * g / fma(E, E, 1);
   const double forward = fma(g, g, 1) + 2 * g * mu;
   const double squared = g < 0 ? backward : forward;
-  const double phase = (1 - g) * (1 + g) / (12.5663706143591729539 * squared * sqrt(squared));
-  const double w = weight * phase * transmitted * mu * q;
-  rule->next[NODE_FURTHER] = E - rule->least;
-  rule->next[NODE_WEIGHT] = w;
-  rule->next[NODE_ENERGY] = w / E;
-  rule->next += NODE_FIELDS;
-}
-
-/* Adds the nodes of one panel of the zone next to the critical angle, from `from` to `to` in v. */
-static void add_zone_panel(struct rule *rule, double from, double to) {
-  const double eta = rule->eta;
-  const double root = sqrt(fabs((1 - eta) * (1 + eta)));
-  const double s = root / eta;
-  for (int i = 0; i < 2 * CORE_GAUSS_HALF; i++) {
-    const double v = fma(to - from, core_gauss_node(i), from);
-    const double weight = (to - from) * core_gauss_weight(i);
-    const real_exp_values e = real_exp(-v);
-    const double sinh = e.one_minus_exp * (1 + e.exp) / (2 * e.exp);
-    const double cosh = fma(e.exp, e.exp, 1) / (2 * e.exp);
-    const double mu = eta > 1 ? s * cosh : eta < 1 ? s * sinh : v;
-    const double outside = eta > 1 ? root * sinh : eta < 1 ? root * cosh : v;
-    const double dmu = eta > 1 ? s * sinh : eta < 1 ? s * cosh : 1;
-    const double q =
-        eta > 1 ? sqrt((1 - outside) * (1 + outside)) / eta : sqrt((1 - mu) * (1 + mu));
-    /* the weight of du follows from du = dmu / (1 - mu^2) */
-    add_node(rule, mu, outside, q, (1 + mu) / q, weight * dmu / (q * q));
-  }
-}
-
-/* Adds the zone from mu_c to the cosine mu of u_c + ZONE, in panels whose ends approach mu_c
- * geometrically. end_of_zone: e^(u_c + ZONE). */
-static void add_zone(struct rule *rule, double end_of_zone) {
-  const double eta = rule->eta;
-  const double s = sqrt(fabs((1 - eta) * (1 + eta))) / eta;
-  const double e = end_of_zone / rule->least;
-  const double cosh_c = eta > 1 ? eta : 1;
-  const double cosh_end = 0.5 * (end_of_zone + 1 / end_of_zone);
-  /* tanh(b) - tanh(a) = sinh(b - a) / (cosh(a) cosh(b)) */
-  double beyond = 0.5 * (e - 1 / e) / (cosh_c * cosh_end);
-  double ends[ZONE_PANELS + 1];
-  for (int i = 0; i < ZONE_PANELS; i++) {
-    ends[i] = eta > 1   ? inverse_sinh(sqrt(beyond * fma(2, s, beyond)) / s)
-              : eta < 1 ? inverse_sinh(beyond / s)
-                        : beyond;
-    beyond *= ZONE_SHRINK;
-  }
-  ends[ZONE_PANELS] = 0;
-  for (int i = 0; i < ZONE_PANELS; i++) {
-    add_zone_panel(rule, ends[i + 1], ends[i]);
-  }
-}
-
-/* Writes the ends of the tail's panels, in u less u_c, and returns their number less 1. The panels
- * grow, because the integrand falls like e^(-u). For g near -1 it first rises like e^(2 u), as far
- * as the phase function rises: up to E = 2 / (1 + g). */
-static int tail_ends(double g, double *ends) {
-  static const double growing[] = {1, 2.5, 4.5, 7, 10, 13.5, 18.5, 26.5, 39.5};
-  const double peak = g < TAIL_FINE ? real_log(2 / (1 + g), 0) + TAIL_PEAK : ZONE;
-  int count = 0;
-  ends[0] = ZONE;
-  while (ends[count] < peak) {
-    ends[count + 1] = ends[count] + 1;
-    count++;
-  }
-  const double from = ends[count];
-  for (size_t i = 0; i < sizeof growing / sizeof growing[0]; i++) {
-    ends[++count] = from + growing[i];
-  }
-  return count;
-}
-
-/* Adds the tail beyond the zone, in u. */
-static void add_tail(struct rule *rule) {
-  double ends[TAIL_PANELS_MAX + 1];
-  const double eta = rule->eta;
-  const int panels = tail_ends(rule->g, ends);
-  for (int panel = 0; panel < panels; panel++) {
-    const double width = ends[panel + 1] - ends[panel];
-    for (int i = 0; i < 2 * CORE_GAUSS_HALF; i++) {
-      const double E = rule->least * real_exp_signed(fma(width, core_gauss_node(i), ends[panel]));
-      const double q = 2 / (E + 1 / E);
-      const double mu = (E - 1 / E) / (E + 1 / E);
-      const double outside = sqrt((1 - eta * q) * (1 + eta * q));
-      add_node(rule, mu, outside, q, E, width * core_gauss_weight(i));
-    }
-  }
+  return (1 - g) * (1 + g) / (12.5663706143591729539 * squared * sqrt(squared));
 }
 
 /* Returns the sum of R_term() at tau. */
@@ -388,20 +275,23 @@ core_fault core_single_prepare(const core_inputs *inputs, core_preparation *prep
   const double eta = medium->eta;
   const double sigma_s = medium->sigma_s_per_mm;
   const double sigma_t = medium->sigma_a_per_mm + sigma_s;
-  double ends[TAIL_PANELS_MAX + 1];
-  const size_t nodes = 2 * CORE_GAUSS_HALF * (size_t)(ZONE_PANELS + tail_ends(medium->g, ends));
+  const double least = eta > 1 ? eta + sqrt((eta - 1) * (eta + 1)) : 1; /* e^(u_c) */
+  const double last = LAST + fmax(real_log(2 / (1 + medium->g), 0), 0);
+  const size_t nodes = 1 + (size_t)ceil((last - FIRST) / STEP);
   preparation->table_bytes = (NODES_BEGIN + nodes * NODE_FIELDS) * sizeof(double);
   double *c = malloc(preparation->table_bytes);
   if (c == NULL) {
     return CORE_OUT_OF_MEMORY;
   }
-  struct rule rule = {eta, medium->g, eta > 1 ? eta + sqrt((eta - 1) * (eta + 1)) : 1,
-                      &c[NODES_BEGIN]};
-  add_zone(&rule, rule.least * real_exp_signed(ZONE));
-  add_tail(&rule);
   double energy = 0;
   for (size_t k = 0; k < nodes; k++) {
-    energy += c[NODES_BEGIN + k * NODE_FIELDS + NODE_ENERGY];
+    double *to = &c[NODES_BEGIN + k * NODE_FIELDS];
+    const double further = real_exp_signed(fma((double)k, STEP, FIRST));
+    const single_node node = transport_single_node(eta, least, further);
+    to[NODE_FURTHER] = further;
+    to[NODE_WEIGHT] = STEP * further * node.weight * phase_at(medium->g, node.mu, node.rate);
+    to[NODE_ENERGY] = to[NODE_WEIGHT] / node.rate;
+    energy += to[NODE_ENERGY];
   }
   const double two_pi = 6.28318530717958647693;
   const double albedo = two_pi * (sigma_s / sigma_t) * energy;
@@ -410,7 +300,7 @@ core_fault core_single_prepare(const core_inputs *inputs, core_preparation *prep
   c[SIGMA_T] = sigma_t;
   c[ABSORBED] = medium->sigma_a_per_mm / sigma_t;
   c[SCATTERED] = sigma_s / sigma_t;
-  c[EXPONENT] = rule.least;
+  c[EXPONENT] = least;
   c[R_SCALE] = scatters ? sigma_s : 0;
   c[CDF_SCALE] = 1 / energy;
   c[CDF_LIMIT] = scatters;
@@ -419,7 +309,7 @@ core_fault core_single_prepare(const core_inputs *inputs, core_preparation *prep
   preparation->table = c;
   preparation->error = SINGLE_ERROR;
   preparation->error_epsilons = 4;
-  preparation->error_epsilons_per_mm = 4 * sigma_t * rule.least;
+  preparation->error_epsilons_per_mm = 4 * sigma_t * least;
   preparation->scale_mm = 1 / sigma_t;
   preparation->cost = COST;
   return (core_fault){0};

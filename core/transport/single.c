@@ -54,23 +54,28 @@ static double transmittance(double eta, double e0, double distance, double mu) {
   return transport_transmittance(eta, mu, mu_t);
 }
 
-void transport_single_rule(single_rule *rule, double eta, double sine, double step) {
+single_node transport_single_node(double eta, double e0, double distance) {
+  const double e = e0 + distance;
+  /* above_one = E^2 - 1 = (E0^2 - 1) + (E^2 - E0^2), and E0^2 - 1 = 2 root E0 */
   const double root = eta > 1 ? sqrt((eta - 1) * (eta + 1)) : 0;
-  const double e0 = eta > 1 ? eta + root : 1;
+  const double above_one = 2 * root * e0 + distance * (e + e0);
+  const double sum = e * e + 1, mu = above_one / sum;
+  const double t = eta == 1 ? 1 : transmittance(eta, e0, distance, mu);
+  return (single_node){e, mu, 2 * above_one / (sum * sum) * t};
+}
+
+void transport_single_rule(single_rule *rule, double eta, double sine, double step) {
+  const double e0 = eta > 1 ? eta + sqrt((eta - 1) * (eta + 1)) : 1;
   const double inside = sine / eta; /* sine of the cone's edge */
   const bool all = sine >= 1 || inside >= 1;
   /* (1 + mu) / sqrt(1 - mu^2), less E0 */
   const double cone = all ? 0 : (1 + sqrt((1 - inside) * (1 + inside))) / inside - e0;
   rule->n = 0;
   for (double y = Y_MIN; y <= Y_MAX && rule->n < SINGLE_MAX; y += step) {
-    const double beyond = fn_exp(y), distance = cone + beyond;
-    const double e = e0 + distance;
-    /* above_one = E^2 - 1 = (E0^2 - 1) + (E^2 - E0^2), and E0^2 - 1 = 2 root E0 */
-    const double above_one = 2 * root * e0 + distance * (e + e0);
-    const double sum = e * e + 1;
-    const double t = eta == 1 ? 1 : transmittance(eta, e0, distance, above_one / sum);
-    rule->rate[rule->n] = e;
-    rule->weight[rule->n] = 2 * above_one / (sum * sum) * t * beyond * step;
+    const double beyond = fn_exp(y);
+    const single_node node = transport_single_node(eta, e0, cone + beyond);
+    rule->rate[rule->n] = node.rate;
+    rule->weight[rule->n] = node.weight * beyond * step;
     rule->n++;
   }
 }

@@ -11,6 +11,16 @@ enum { SINGLE_MAX = 320 };
  * at most is 0. */
 double transport_transmittance(double eta, double mu, double mu_outside);
 
+/* Light that leaves at the cosine mu inside, for the distance of E from its least value E0, that of the
+ * critical angle: E0 = eta + sqrt(eta^2 - 1), or 1 if eta < 1. weight is w(E) of core/transport/single.c. */
+typedef struct single_node {
+  double rate; /* E */
+  double mu;
+  double weight;
+} single_node;
+
+single_node transport_single_node(double eta, double e0, double distance);
+
 /* A quadrature rule for one eta, which serves all radii and albedos. */
 typedef struct single_rule {
   size_t n;
