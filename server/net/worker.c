@@ -2,6 +2,8 @@
 
 #include <assert.h>
 #include <sys/prctl.h>
+#include <sys/timerfd.h>
+#include <unistd.h>
 
 #include "server/jobs/run.h"
 
@@ -266,8 +268,13 @@ static void find_relief(struct worker *worker) {
   worker->load_most = 0;
 }
 
-static void on_clock(uv_timer_t *timer) {
-  struct worker *worker = timer->data;
+static void on_clock(uv_poll_t *clock, int status, int events) {
+  struct worker *worker = clock->data;
+  uint64_t ticks;
+  (void)status, (void)events;
+  if (read(worker->clock_fd, &ticks, sizeof ticks) < 0) {
+    return;
+  }
   find_relief(worker);
   for_each(worker, tick_client);
   profiles_sweep(&worker->context.profiles);
@@ -322,20 +329,25 @@ static void thread_main(void *argument) {
   profiles_end(&worker->context.profiles);
   const int closed = uv_loop_close(&worker->loop);
   assert(closed == 0);
+  close(worker->clock_fd);
 }
 
 static int set_up_handles(struct worker *worker) {
-  const uint64_t period_ms = clock_period_ms(&worker->server->options);
+  const struct timespec tick = {.tv_nsec =
+                                    (long)clock_period_ms(&worker->server->options) * 1000000};
+  const struct itimerspec ticks = {tick, tick};
+  worker->clock_fd = timerfd_create(CLOCK_MONOTONIC, TFD_NONBLOCK | TFD_CLOEXEC);
+  timerfd_settime(worker->clock_fd, 0, &ticks, NULL);
   uv_prepare_init(&worker->loop, &worker->before_poll);
   uv_check_init(&worker->loop, &worker->after_poll);
   uv_idle_init(&worker->loop, &worker->stay_awake);
-  uv_timer_init(&worker->loop, &worker->clock);
   uv_timer_init(&worker->loop, &worker->deadline);
+  const int error = uv_poll_init(&worker->loop, &worker->clock, worker->clock_fd);
   worker->wake.data = worker->after_poll.data = worker->clock.data = worker;
   worker->deadline.data = worker->before_poll.data = worker;
   uv_prepare_start(&worker->before_poll, before_poll);
   uv_check_start(&worker->after_poll, after_poll);
-  return uv_timer_start(&worker->clock, on_clock, period_ms, period_ms);
+  return error != 0 ? error : uv_poll_start(&worker->clock, UV_READABLE, on_clock);
 }
 
 int worker_open(struct worker *worker, struct server *server) {

@@ -30,7 +30,8 @@ struct worker {
   uv_prepare_t before_poll;
   uv_check_t after_poll;
   uv_idle_t stay_awake; /* active while the next poll must not sleep */
-  uv_timer_t clock;
+  uv_poll_t clock; /* a timer of the kernel's own: each wait with a time limit costs a timer anew */
+  int clock_fd;
   uv_timer_t deadline; /* fires at wake_ms */
   uint64_t wake_ms;    /* the next deadline of a client that waits; 0 if there is none */
 
