@@ -172,30 +172,6 @@ uint16_t registers_word(const uint16_t image[REGISTERS_END], unsigned address) {
   return image[image_index(address)];
 }
 
-void registers_set_u16(uint16_t image[REGISTERS_END], unsigned address, unsigned value) {
-  image[address] = (uint16_t)value;
-}
-
-void registers_set_u32(uint16_t image[REGISTERS_END], unsigned address, uint32_t value) {
-  image[address] = (uint16_t)(value >> 16);
-  image[address + 1] = (uint16_t)value;
-}
-
-void registers_set_f32(uint16_t image[REGISTERS_END], unsigned address, float value) {
-  uint32_t bits;
-  memcpy(&bits, &value, sizeof bits);
-  registers_set_u32(image, address, bits);
-}
-
-void registers_set_f64(uint16_t image[REGISTERS_END], unsigned address, double value) {
-  uint64_t bits;
-  memcpy(&bits, &value, sizeof bits);
-  image[address] = (uint16_t)(bits >> 48);
-  image[address + 1] = (uint16_t)(bits >> 32);
-  image[address + 2] = (uint16_t)(bits >> 16);
-  image[address + 3] = (uint16_t)bits;
-}
-
 void registers_set_text(uint16_t image[REGISTERS_END], unsigned address, unsigned count,
                         const char *text) {
   for (unsigned i = 0; i < count; i++) {
@@ -376,17 +352,21 @@ static void set_defaults(uint16_t image[REGISTERS_END]) {
   }
 }
 
-void registers_write(uint16_t image[REGISTERS_END], unsigned address, unsigned count,
-                     const uint8_t *values) {
-  for (unsigned i = 0; i < count; i++) {
-    if (unmirrored(address + i) == REGISTERS_AT_DEFAULTS && word_at(values, i) != 0) {
-      set_defaults(image);
-    }
-  }
+static void put_words(uint16_t image[REGISTERS_END], unsigned address, unsigned count,
+                      const uint8_t *values) {
   for (unsigned i = 0; i < count; i++) {
     image[image_index(address + i)] = word_at(values, i);
   }
-  registers_set_u16(image, REGISTERS_AT_DEFAULTS, 0);
+}
+
+void registers_write(uint16_t image[REGISTERS_END], unsigned address, unsigned count,
+                     const uint8_t *values) {
+  put_words(image, address, count, values);
+  if (image[REGISTERS_AT_DEFAULTS] != 0) {
+    set_defaults(image);
+    put_words(image, address, count, values);
+    image[REGISTERS_AT_DEFAULTS] = 0;
+  }
 }
 
 /* ---- what is there from the start ------------------------------------------------------------ */

@@ -191,10 +191,27 @@ static inline float registers_f32(const uint16_t *image, unsigned address) {
 uint16_t registers_word(const uint16_t image[REGISTERS_END], unsigned address);
 
 /* These set one value. */
-void registers_set_u16(uint16_t image[REGISTERS_END], unsigned address, unsigned value);
-void registers_set_u32(uint16_t image[REGISTERS_END], unsigned address, uint32_t value);
-void registers_set_f32(uint16_t image[REGISTERS_END], unsigned address, float value);
-void registers_set_f64(uint16_t image[REGISTERS_END], unsigned address, double value);
+static inline void registers_set_u16(uint16_t *image, unsigned address, unsigned value) {
+  image[address] = (uint16_t)value;
+}
+
+static inline void registers_set_u32(uint16_t *image, unsigned address, uint32_t value) {
+  image[address] = (uint16_t)(value >> 16);
+  image[address + 1] = (uint16_t)value;
+}
+
+static inline void registers_set_f32(uint16_t *image, unsigned address, float value) {
+  uint32_t bits;
+  memcpy(&bits, &value, sizeof bits);
+  registers_set_u32(image, address, bits);
+}
+
+static inline void registers_set_f64(uint16_t *image, unsigned address, double value) {
+  uint64_t bits;
+  memcpy(&bits, &value, sizeof bits);
+  registers_set_u32(image, address, (uint32_t)(bits >> 32));
+  registers_set_u32(image, address + 2, (uint32_t)bits);
+}
 
 /* Sets a text field of `count` registers. Cuts text that is longer. */
 void registers_set_text(uint16_t image[REGISTERS_END], unsigned address, unsigned count,
