@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 
 MOST = 1.3
-FIGURE = re.compile(r"^limit\.(\S+)\.(\w+)\.(\w+)\.(cycles|bound)\t(\S+)", re.MULTILINE)
+FIGURE = re.compile(r"^limit\.(\S+)\.(\w+)\.(\w+)\.(cycles|bound|memcpy)\t(\S+)", re.MULTILINE)
 TABLE = re.compile(r"^\|.*\|\n(\|.*\|\n)+", re.MULTILINE)
 
 bench, document = (Path(argument) for argument in sys.argv[1:])
@@ -24,11 +24,12 @@ for model, evaluator, isa, what, value in FIGURE.findall(bench.read_text()):
     of_isa[what] = float(value)
 
 isas = list(next(iter(kernels.values())))
-table = [["kernel", *(f"{isa}: cycles (bound)" for isa in isas), "reason"]]
+table = [["kernel", *(f"{isa}: cycles (bound)" for isa in isas), "memcpy", "reason"]]
 unexplained = []
 for kernel, figures in kernels.items():
     reason = reasons.get(kernel, "")
-    table.append([kernel, *(f"{one['cycles']:.3g} ({one['bound']:.3g})" for one in figures.values()), reason])
+    cells = [f"{one['cycles']:.3g} ({one['bound']:.3g})" for one in figures.values()]
+    table.append([kernel, *cells, f"{figures[isas[0]]['memcpy']:.2g}", reason])
     if not reason and any(one["cycles"] > MOST * one["bound"] for one in figures.values()):
         unexplained.append(kernel)
 lines = [f"| {' | '.join(row)} |\n".replace("|  |", "| |") for row in table]

@@ -5,6 +5,8 @@
  *   limit.<model>.<evaluator>.<instruction set>.bound       the least by llvm-mca, whose units would
  *                                                           then never wait for a value
  *   ratio.limit.<model>.<evaluator>.<instruction set>       cycles over the bound
+ *   limit.<model>.<evaluator>.<instruction set>.memcpy      cycles in which memcpy reads and writes the
+ *                                                           bytes of one value: 4 or 8 each way
  *
  * llvm-mca reads the instructions that this program has executed: a child steps through the kernel,
  * one instruction after the other, and objdump names what stands at each address. Cycles are counted
@@ -41,7 +43,7 @@ enum { KERNELS = sizeof kernels / sizeof kernels[0] };
 struct measured {
   char name[96];
   core_profile profile;
-  double cycles;
+  double cycles, memcpy_cycles;
 };
 
 static _Alignas(BENCH_ALIGNMENT) double r[RADII], R[RADII];
@@ -54,6 +56,11 @@ static void run_kernel(const void *context) {
   } else {
     core_eval_f32(profile, CORE_QUANTITY_R, radii, (const float *)r, (float *)R);
   }
+}
+
+static void run_memcpy(const void *context) {
+  memcpy(R, r, *(const size_t *)context);
+  __asm__ volatile("" : : "r"(R) : "memory"); /* it is copied each time */
 }
 
 static void run_chain(const void *context) {
@@ -122,6 +129,7 @@ static void report(const struct measured *measured, size_t count, const char *pa
       bench_figure(bound / TRACED, "cycles", "limit.%s.bound", measured[i].name);
       bench_figure(measured[i].cycles * TRACED / bound, "times", "ratio.limit.%s",
                    measured[i].name);
+      bench_figure(measured[i].memcpy_cycles, "cycles", "limit.%s.memcpy", measured[i].name);
       i++;
     }
   }
@@ -146,9 +154,10 @@ void bench_limit(void) {
   size_t count = 0;
   for (size_t k = 0; k < KERNELS; k++) {
     const core_choice *evaluator = core_choice_by_id(core_evaluators, kernels[k].evaluator);
-    bench_contender contenders[1 + LEVELS] = {{.run = run_chain}};
+    const size_t bytes = core_evaluator_bytes(evaluator->id) * RADII;
+    bench_contender contenders[2 + LEVELS] = {{.run = run_chain}, {run_memcpy, &bytes, 0}};
     size_t levels = 0;
-    bench_fill_radii(core_evaluator_bytes(evaluator->id), r, RADII);
+    bench_fill_radii(bytes / RADII, r, RADII);
     for (size_t i = 0; i < LEVELS; i++) {
       const core_isa *isa = core_isa_select(fused[i]);
       if (isa != NULL) {
@@ -157,13 +166,14 @@ void bench_limit(void) {
                  core_choice_by_id(core_models, kernels[k].model)->name, evaluator->name, fused[i]);
         bench_progress(one->name);
         one->profile = bench_profile(isa, kernels[k].model, evaluator->id);
-        contenders[++levels] = (bench_contender){.run = run_kernel, .context = &one->profile};
+        contenders[1 + ++levels] = (bench_contender){.run = run_kernel, .context = &one->profile};
       }
     }
-    bench_compare(contenders, 1 + levels);
+    bench_compare(contenders, 2 + levels);
     const double cycle_ns = contenders[0].ns / (CHAIN * CYCLES_OF_A_PRODUCT);
     for (size_t i = 1; i <= levels; i++, count++) {
-      measured[count].cycles = contenders[i].ns / cycle_ns / RADII;
+      measured[count].cycles = contenders[1 + i].ns / cycle_ns / RADII;
+      measured[count].memcpy_cycles = contenders[1].ns / cycle_ns / RADII;
       fprintf(trace, "// LLVM-MCA-BEGIN\n");
       write_trace(&measured[count].profile, trace);
       fprintf(trace, "// LLVM-MCA-END\n");
