@@ -124,9 +124,9 @@ def test_rows_come_out_while_others_are_awaited():
 
 
 def test_a_bar_is_shown_on_a_terminal_when_it_takes_long():
+    start = time.monotonic()
     run = Terminal("points", on=[2], stdin=subprocess.PIPE)
     run.process.stdin.write(HEADER.encode() + b"\n")
-    start = time.monotonic()
     while " rows" not in run.seen:
         assert time.monotonic() - start < TIMEOUT_S
         run.process.stdin.write(ROW.encode() + b"\n")
