@@ -54,7 +54,8 @@ static bool merge_part(const libdipole_pending *pending, const void *part, void 
     all->fitted_count += fixed->fitted_count;
   }
   return fixed->fitted_count <= fixed->count && fixed->reading_count == pending->medium_count &&
-         (all == NULL || fixed->sought_count == all->sought_count);
+         (all == NULL ||
+          (fixed->sought_count == all->sought_count && fixed->haemoglobin == all->haemoglobin));
 }
 
 static const libdipole_kind fit_kind = {

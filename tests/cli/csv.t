@@ -47,8 +47,8 @@ sigma_a,sigma_s,g,eta,r,R,albedo,cdf,status^M$
 ^M$
 0.01,1,0,1.4,2,0.0076295505,0.6222119489494612,0.44686064,ok$
 
-$ printf '\357\273\277note,sigma_a,sigma_s,g,eta,r\n"two\nlines, # and ""quotes""",0.01,1,0,1.4,2\n"",0.01,1,0,1.4,2\n\377\000\376,0.01,1,0,1.4,2\n' | dipole points | cat -A
-M-oM-;M-?note,sigma_a,sigma_s,g,eta,r,R,albedo,cdf,status$
+$ printf '\357\273\277my note,sigma_a,sigma_s,g,eta,r\n"two\nlines, # and ""quotes""",0.01,1,0,1.4,2\n"",0.01,1,0,1.4,2\n\377\000\376,0.01,1,0,1.4,2\n' | dipole points | cat -A
+M-oM-;M-?my note,sigma_a,sigma_s,g,eta,r,R,albedo,cdf,status$
 "two$
 lines, # and ""quotes""",0.01,1,0,1.4,2,0.0076295505,0.6222119489494612,0.44686064,ok$
 "",0.01,1,0,1.4,2,0.0076295505,0.6222119489494612,0.44686064,ok$

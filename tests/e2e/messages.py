@@ -253,6 +253,9 @@ FILES = {
     "readings.csv": csv_of("sample,r,R,error", [
         (i, r, R * noise, 0.02 * R) for i, one in enumerate(NOISE[:500]) for r, R, noise in zip((1, 2, 4), READINGS, one)
     ]),
+    "reading.csv": csv_of("r,R,error", [(3, 2.7e-3, 1e-5)]),
+    "images.csv": csv_of("wavelength_nm,f,image,relative_error", [(nm, 0.1, f"{nm}.image.pfm", 0.01) for nm in (650, 850)]),
+    **{f"{nm}.image.pfm": b"Pf\n2000 1\n-1.0\n" + np.full(2000, 0.3, "<f4").tobytes() for nm in (650, 850)},
     "points.csv": csv_of("x,y,z,power", np.hstack([POINTS_SENT.xyz, POINTS_SENT.power[:, :1]])),
     "places.csv": csv_of("x,y,z", PLACES[:2500]),
 }
@@ -263,6 +266,9 @@ COMMANDS = {
     "eval": ["eval", *BETTER_SKIN, "--count", "5000"],
     "sample": ["sample", *BETTER_SKIN, "--count", "5000"],
     "fit": ["fit", "--model", "better", "--eta", "1.4", "--format", "csv", "readings.csv"],
+    "fit_layers": ["fit", "--layer", "x,0.74,0,1.3", "--format", "csv", "reading.csv"],
+    "fit_tissue": ["fit", "--unknown", "hbo2", "--tissue", "a=1,b=1", "--model", "better", "--maps", "media.pfm", "images.csv"],
+    "tissue": ["tissue", "--tissue", "liver", "--wavelengths", "650,850", "--format", "csv"],
     "varying": ["texture", "--model", "better", "--mean-free-path", "1", "colours.pfm", "media.pfm"],
     "gather": ["gather", *BETTER_SKIN, "points.csv", "places.csv"],
     "mc": ["mc", "--medium", "skin1", "--channel", "red", "--photons", "20000", "--format", "csv"],

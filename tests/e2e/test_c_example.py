@@ -103,7 +103,7 @@ def test_the_example_without_an_output(installed, irradiance, shared, closing, s
 
 def test_calls_that_nothing_else_makes(installed, tmp_path, shared):
     program = tmp_path / "calls"
-    installed.compile(["cc", "-std=c17", "-Wall", "-Wextra"], REPOSITORY / "tests/e2e/calls.c", program)
+    installed.compile(["cc", "-std=c17", "-Wall", "-Wextra"], REPOSITORY / "tests/e2e/library_calls.c", program)
     installed.run(program, shared.url())
 
 

@@ -8,16 +8,9 @@ import threading
 from pathlib import Path
 
 import pytest
-from command_line import FAILED, PROGRAM, TIMEOUT_S, Proxy, Terminal, busy, dipole, eval_rows
-from daemons import Daemon
+from command_line import FAILED, PROGRAM, TIMEOUT_S, Proxy, Terminal, busy, dipole
 
 ARGUMENTS = ("--sigma-a", "0.03", "--sigma-s", "1", "--r", "0.5,1,2")
-
-
-@pytest.fixture
-def known():
-    """Returns the answer of a daemon that no other test uses."""
-    return eval_rows(*ARGUMENTS)
 
 
 def test_a_person_is_told_at_once(tmp_path):
@@ -28,18 +21,6 @@ def test_a_person_is_told_at_once(tmp_path):
     assert "Trying" not in dipole("eval", *with_wait, status=FAILED).stderr
     terminal = Terminal("eval", "--connect", "nowhere", *ARGUMENTS, on=(2,))
     assert terminal.end()[0] != 0 and "Trying" not in terminal.seen
-
-
-def test_the_usual_time_is_enough_for_a_restart(tmp_path, known):
-    """The daemon comes .3 s later than the command."""
-    path, late = f"unix:{tmp_path}/s", []
-    begin = threading.Timer(0.3, lambda: late.append(Daemon(listen=[path])))
-    begin.start()
-    try:
-        assert eval_rows("--connect", path, *ARGUMENTS) == known
-    finally:
-        begin.join()
-        late[0].close()
 
 
 @pytest.mark.parametrize("command", ["eval", "points"])

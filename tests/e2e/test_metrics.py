@@ -432,6 +432,11 @@ def test_scrapes_leave_nothing_behind(watched):
     descriptors, resident = held(100)
     more_descriptors, more_resident = held(400)
     assert more_descriptors < descriptors + 50 and more_resident < resident + 2_000_000
+    with raw(watched) as one:  # nor do they count among the connections that there may be
+        one.sendall(b"GET /healthz HTTP/1.1\r\n")
+        held(1)
+        one.sendall(b"Host: localhost\r\n\r\n")
+        assert one.recv(100).startswith(b"HTTP/1.1 200 ")
 
 
 def test_examples_of_alerts(watched):
@@ -466,17 +471,19 @@ def ends(daemon, status: str) -> dict[str, str]:
     return next(read_log_line(line) for line in daemon.log if f" status={status}" in line)
 
 
-@pytest.mark.parametrize("scheme", ["tcp", "unix"])
+@pytest.mark.parametrize("scheme", ["tcp", "unix", "IPv4 at an address of IPv6"])
 def test_refusals_and_endings_name_the_peer(daemon, scheme):
-    one = daemon("--max-connections", "1")
-    with one.connect(scheme) as first:
+    mapped = {"listen": ["tcp:[::]:0"]} if "IPv6" in scheme else {}
+    one = daemon("--max-connections", "1", **mapped)
+    url = one.url("tcp").replace("[::]", "127.0.0.1") if mapped else one.url(scheme)
+    with dipole.Connection(url) as first:
         assert_serves(first)
-        with one.connect(scheme) as second:
+        with dipole.Connection(url) as second:
             second.receive_frame()
         refused = ends(one, "busy")
         first.send_bytes(b"nonsense" * 4)
         ended = ends(one, "bad-magic")
     assert refused["event"] == "connection-refused" and refused["field"] == "max_connections"
     assert ended["event"] == "connection-ended"
-    peer = r"127\.0\.0\.1:\d+" if scheme == "tcp" else rf"unix:pid={os.getpid()},uid={os.getuid()}"
+    peer = r"127\.0\.0\.1:\d+" if scheme != "unix" else rf"unix:pid={os.getpid()},uid={os.getuid()}"
     assert re.fullmatch(peer, refused["peer"]) and re.fullmatch(peer, ended["peer"])

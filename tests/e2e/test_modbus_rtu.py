@@ -504,6 +504,11 @@ def test_rts_by_hand(daemon, line, driver, level):
         assert began[0] + 0.05 <= arrived
         wire_s = 9 * 11 / 1200
         assert ended[0] - began[0] >= 0.05 + wire_s + 0.05
+    for _ in range(2):  # the second arrives while RTS is on
+        before = len(driver.read())
+        master.send(master.frame(7, READ_ONE))
+        assert eventually(lambda: len(driver.read()) > before)  # noqa: B023
+    assert [master.receive() for _ in range(2)] == [(7, b"\3\2\0\0")] * 2
 
 
 def test_stopping_sends_the_answer_and_takes_rts_back(daemon, line, driver):

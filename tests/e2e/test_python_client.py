@@ -384,15 +384,6 @@ def test_addresses_that_cannot_be_understood(address):
     assert address in str(caught.value)
 
 
-@pytest.mark.parametrize(
-    "address", ["unix:/no/such/socket", "private:/no/such/program", "unix:/" + "x" * 200]
-)
-def test_addresses_where_nobody_answers(address):
-    with pytest.raises(dipole.ConnectError) as caught:
-        dipole.Client(address, retry_s=0)
-    assert address in str(caught.value) and "tried for" not in str(caught.value)
-
-
 def run_in_clone(folder: Path, has_build: bool, **variables: str):
     """Runs a program that imports the module of a fresh clone. PATH and DIPOLED are not set."""
     shutil.copytree(Path(dipole.__file__).parent, folder / "clients/python/dipole")

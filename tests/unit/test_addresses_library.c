@@ -1,8 +1,6 @@
 /* libdipole and several daemons: lists of addresses, which daemon the client takes, and what it
  * does when that daemon is lost, silent, full or replaced by another one. */
-#include <arpa/inet.h>
 #include <signal.h>
-#include <sys/socket.h>
 #include <time.h>
 #include <unistd.h>
 
@@ -83,58 +81,12 @@ UNIT_TEST(test_wrong_lists) {
 
 /* ---- opening ------------------------------------------------------------------------------- */
 
-/* Takes a TCP port of this machine at which nobody listens: a bound socket that does not listen. */
-static int take_dead_port(char *address, size_t bytes) {
-  struct sockaddr_in name = {.sin_family = AF_INET, .sin_addr.s_addr = htonl(INADDR_LOOPBACK)};
-  socklen_t name_bytes = sizeof name;
-  const int fd = socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0);
-  assert_int_equal(bind(fd, (const struct sockaddr *)&name, sizeof name), 0);
-  assert_int_equal(getsockname(fd, (struct sockaddr *)&name, &name_bytes), 0);
-  snprintf(address, bytes, "tcp:127.0.0.1:%d", ntohs(name.sin_port));
-  return fd;
-}
-
-UNIT_TEST(test_the_first_that_answers) {
-  char dead[64];
-  scripted_peer peer;
-  const int fd = take_dead_port(dead, sizeof dead);
-  peer_start(&peer, peer_serve, NULL);
-  const char *const addresses[] = {"unix:/nonexistent/s", dead, peer.address};
-  char *list = peer_list(addresses, 3);
-  dipole_client *client = peer_open(list, NULL);
-  assert_string_equal(dipole_address(client), peer.address);
-  assert_string_equal(dipole_get_info(client)->address, peer.address);
-  peer_check_eval(client, 5);
-  peer_finish(&peer, client);
-  free(list);
-  close(fd);
-}
-
-UNIT_TEST(test_nobody_answers) {
-  char dead[64], list[128];
-  dipole_client *client;
-  dipole_error error;
-  const int fd = take_dead_port(dead, sizeof dead);
-  snprintf(list, sizeof list, "unix:/nonexistent/s,%s", dead);
-  dipole_options options = peer_options();
-  options.retry_ms = 0;
-  assert_false(dipole_open_with(list, &options, &client, &error));
-  assert_int_equal(error.kind, DIPOLE_ERROR_CONNECT);
-  assert_null(strstr(error.text, "tried for"));
-  assert_non_null(strstr(error.text, "/nonexistent/s: No such file")); /* one of all failures */
-  assert_non_null(strstr(error.text, strrchr(dead, ':') + 1));
-  close(fd);
-}
-
 UNIT_TEST(test_one_that_does_not_say_hello) {
   dipole_options options = peer_options();
   scripted_peer mute, peer;
-  dipole_client *none;
-  dipole_error error;
-  peer_script *const twice[] = {peer_accept_only, peer_accept_only, NULL};
   options.connect_timeout_ms = 500;
   options.retry_ms = 0;
-  peer_start_scripts(&mute, twice, NULL);
+  peer_start(&mute, peer_accept_only, NULL);
   peer_start(&peer, peer_serve, NULL);
   const char *const addresses[] = {mute.address, peer.address};
   char *list = peer_list(addresses, 2);
@@ -142,12 +94,8 @@ UNIT_TEST(test_one_that_does_not_say_hello) {
   dipole_client *client = peer_open(list, &options);
   assert_true(peer_now_ms() - start_ms >= 500);
   peer_check_eval(client, 5);
-  dipole_close(client);
-  assert_false(dipole_open_with(mute.address, &options, &none, &error));
-  assert_int_equal(error.kind, DIPOLE_ERROR_CONNECT);
-  assert_non_null(strstr(error.text, "does not say hello within 500 ms"));
   peer_end(&mute);
-  peer_end(&peer);
+  peer_finish(&peer, client);
   free(list);
 }
 
@@ -162,48 +110,6 @@ UNIT_TEST(test_opening_again_and_again) {
   assert_true(peer_now_ms() - start_ms >= 60); /* twice retry_after_ms of 30 ms */
   peer_check_eval(client, 5);
   peer_finish(&peer, client);
-}
-
-/* Whatever the reason why nobody answers, opening goes on until retry_ms has passed. */
-UNIT_TEST(test_opening_goes_on_until_the_time_is_over) {
-  static const char *const addresses[] = {
-      "unix:/nonexistent/a,unix:/nonexistent/b",
-      NULL, /* refuses connections */
-      "tcp:no-such-host.invalid:4817",
-  };
-  char dead[64];
-  const int fd = take_dead_port(dead, sizeof dead);
-  dipole_options options = peer_options();
-  options.retry_ms = 200;
-  for (size_t i = 0; i < sizeof addresses / sizeof addresses[0]; i++) {
-    dipole_client *client;
-    dipole_error error;
-    const int64_t start_ms = peer_now_ms();
-    assert_false(
-        dipole_open_with(addresses[i] != NULL ? addresses[i] : dead, &options, &client, &error));
-    assert_int_equal(error.kind, DIPOLE_ERROR_CONNECT);
-    assert_non_null(strstr(error.text, "(tried for "));
-    assert_true(peer_now_ms() - start_ms >= 190); /* the shortest pause is 10 ms */
-  }
-  close(fd);
-}
-
-/* A daemon that hangs is left for the next one after its share of retry_ms. */
-UNIT_TEST(test_opening_beside_one_that_hangs) {
-  dipole_options options = peer_options();
-  scripted_peer mute, peer;
-  options.retry_ms = 2000;
-  peer_start(&mute, peer_accept_only, NULL);
-  peer_start(&peer, peer_serve, NULL);
-  const char *const addresses[] = {mute.address, peer.address};
-  char *list = peer_list(addresses, 2);
-  const int64_t start_ms = peer_now_ms();
-  dipole_client *client = peer_open(list, &options);
-  assert_true(peer_now_ms() - start_ms >= 990);
-  assert_string_equal(dipole_address(client), peer.address);
-  peer_end(&mute);
-  peer_finish(&peer, client);
-  free(list);
 }
 
 static void count_and_serve(int fd, void *context) {

@@ -143,28 +143,18 @@ UNIT_TEST(test_refusals_say_what_is_allowed) {
   peer_finish(&peer, client);
 }
 
-/* A script of a daemon at its limit of connections: it refuses the connection with BUSY. */
-static void be_busy(int fd, void *context) {
-  peer_frame request;
-  (void)context;
-  peer_send_error(fd, 0, WIRE_STATUS_BUSY, 250);
-  if (peer_receive(fd, &request)) {
-    free(request.payload);
-  }
-}
-
 UNIT_TEST(test_busy_at_connecting) {
   scripted_peer peer;
   dipole_client *client;
   dipole_error error;
-  peer_start(&peer, be_busy, NULL);
+  peer_start(&peer, peer_be_full, NULL);
   dipole_options options = peer_options();
   options.retry_ms = 0;
   assert_false(dipole_open_with(peer.address, &options, &client, &error));
   assert_null(client);
   assert_int_equal(error.kind, DIPOLE_ERROR_REFUSED);
   assert_int_equal(error.status, WIRE_STATUS_BUSY);
-  assert_int_equal(error.retry_after_ms, 250);
+  assert_int_equal(error.retry_after_ms, 30);
   peer_end(&peer);
 }
 
@@ -223,30 +213,7 @@ UNIT_TEST(test_lies_are_noticed) {
   }
 }
 
-/* ---- connections --------------------------------------------------------------------------- */
-
-UNIT_TEST(test_nobody_is_there) {
-  static const struct {
-    const char *address;
-    enum dipole_error_kind kind;
-  } cases[] = {
-      {"unix:/nonexistent/dipoled.sock", DIPOLE_ERROR_CONNECT},
-      {"private:/nonexistent/dipoled", DIPOLE_ERROR_CONNECT},
-      {"private:/dev/null", DIPOLE_ERROR_CONNECT},
-      {"private:/bin/false", DIPOLE_ERROR_CONNECTION}, /* The program starts and ends at once. */
-  };
-  for (size_t i = 0; i < sizeof cases / sizeof cases[0]; i++) {
-    dipole_client *client;
-    dipole_error error;
-    dipole_options options = peer_options();
-    options.retry_ms = 0;
-    assert_false(dipole_open_with(cases[i].address, &options, &client, &error));
-    assert_null(client);
-    if (error.kind != cases[i].kind || error.text[0] == '\0') {
-      fail_msg("%s: kind %d: %s", cases[i].address, error.kind, error.text);
-    }
-  }
-}
+/* ---- arguments ----------------------------------------------------------------------------- */
 
 /* A query of which one field is another is not sent. call: has it as `wrong`. */
 #define REFUSED(type, call, right, field, value)                                                   \

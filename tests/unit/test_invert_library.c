@@ -1,7 +1,5 @@
-/* dipole_invert(), dipole_fit_layers() and dipole_sample(): the parts of answers are put together, and
- * wrong answers are refused. */
-#include <math.h>
-
+/* dipole_invert() and dipole_sample_numbers(): the parts of answers are put together, and wrong answers
+ * are refused. */
 #include "proto/eval.h"
 #include "proto/schema.h"
 #include "tests/unit/peer_scripts.h"
@@ -158,98 +156,6 @@ UNIT_TEST(inversions_with_another_shape_end_the_connection) {
   }
   run_invert((invert_script){.counts = {MEDIA + 1}}, false, 0);
   run_invert((invert_script){.counts = {MEDIA - 1}}, false, 0);
-}
-
-/* ---- fits of layers ------------------------------------------------------------------------- */
-
-enum { READINGS = 3, SOUGHT = DIPOLE_SIGMA_A_1 | DIPOLE_THICKNESS_1 };
-
-/* Answers with the sigma_a and the thickness that the request has for its second layer, and with its
- * readings as residuals; then with an answer that is of `*context` readings more. */
-static void fit_layers(int fd, void *context) {
-  const uint32_t *more = context;
-  peer_frame request;
-  bool good = peer_say_hello(fd);
-  while (good && peer_receive(fd, &request)) {
-    wire_fit_layers_request asked;
-    schema_layout layout;
-    uint8_t payload[PAYLOAD_MAX] = {0}, *at = payload + WIRE_BYTES_fit_layers_reply;
-    if (schema_check(&schema_fit_layers_request, request.payload, request.header.payload_bytes,
-                     &layout)
-            .status != WIRE_STATUS_OK) {
-      abort(); /* The library makes only well-formed requests. */
-    }
-    wire_get_fit_layers_request(request.payload, &asked);
-    const dipole_medium *layers = (const void *)(request.payload + layout.parts[0].at);
-    const wire_fit_layers_reply fixed = {.status = DIPOLE_FIT_AT_BOUND,
-                                         .unknowns = asked.unknowns,
-                                         .reading_count = asked.reading_count + *more,
-                                         .factor = asked.scale,
-                                         .factor_error = 0.125,
-                                         .chi_squared = 2.5,
-                                         .reduced_chi_squared = (double)NAN,
-                                         .numerical_error = 1e-3};
-    const wire_estimate estimates[] = {
-        {DIPOLE_SIGMA_A_1, DIPOLE_FITTED, 0, layers[1].sigma_a_per_mm, 0.5},
-        {DIPOLE_THICKNESS_1, DIPOLE_FIT_AT_BOUND, 0, layers[1].thickness_mm, (double)INFINITY}};
-    wire_put_fit_layers_reply(payload, &fixed);
-    memcpy(at, estimates, sizeof estimates);
-    memcpy(at + sizeof estimates, request.payload + layout.parts[2].at, READINGS * sizeof(double));
-    good = peer_send(fd, WIRE_TYPE_FIT_LAYERS | WIRE_REPLY, request.header.request_id, payload,
-                     (size_t)schema_bytes(&schema_fit_layers_reply, &fixed));
-    free(request.payload);
-  }
-}
-
-static const dipole_medium cut[] = {{1, 20, 0.8, 1.4, 0.25}, {0.5, 15, 0.8, 1.4, 2}};
-static const double at_mm[] = {0.5, 1, 2}, readings[] = {0.25, 0.125, 0.0625}, errors[] = {1, 2, 3};
-
-static dipole_layers_query layers_query(void) {
-  return (dipole_layers_query){.layers = cut,
-                               .layer_count = 2,
-                               .unknowns = SOUGHT,
-                               .scale = DIPOLE_FREE,
-                               .reading_count = READINGS,
-                               .at = at_mm,
-                               .values = readings,
-                               .errors = errors};
-}
-
-UNIT_TEST(a_fit_of_layers_has_what_was_sought_and_a_residual_for_each_reading) {
-  const dipole_layers_query query = layers_query();
-  scripted_peer peer;
-  dipole_layers_fit *fit = NULL;
-  dipole_error error;
-  dipole_client *client = peer_begin(&peer, fit_layers, &(uint32_t){0});
-  peer_expect(dipole_fit_layers(client, &query, &fit, &error), &error);
-  assert_true(fit->status == DIPOLE_FIT_AT_BOUND && fit->factor == DIPOLE_FREE);
-  assert_true(fit->factor_error == 0.125 && fit->chi_squared == 2.5 &&
-              fit->numerical_error == 1e-3);
-  assert_true(isnan(fit->reduced_chi_squared) && fit->estimate_count == 2);
-  const dipole_estimate *found = fit->estimates;
-  assert_true(found[0].unknown == DIPOLE_SIGMA_A_1 && found[1].unknown == DIPOLE_THICKNESS_1);
-  assert_true(found[0].status == DIPOLE_FITTED && found[0].value == 0.5 && found[0].error == 0.5);
-  assert_true(found[1].value == 2 && isinf(found[1].error));
-  assert_int_equal(fit->reading_count, READINGS);
-  assert_memory_equal(fit->residuals, readings, sizeof readings);
-  dipole_layers_fit_free(fit);
-  peer_finish(&peer, client);
-}
-
-UNIT_TEST(a_fit_of_layers_that_is_wrong_is_an_error) {
-  dipole_layers_query query = layers_query();
-  scripted_peer peer;
-  dipole_layers_fit *fit = NULL;
-  dipole_error error;
-  dipole_client *client = peer_begin(&peer, fit_layers, &(uint32_t){1});
-  query.layer_count = 9;
-  assert_false(dipole_fit_layers(client, &query, &fit, &error));
-  assert_int_equal(error.kind, DIPOLE_ERROR_ARGUMENT);
-  query.layer_count = 2;
-  assert_false(dipole_fit_layers(client, &query, &fit, &error));
-  assert_int_equal(error.kind, DIPOLE_ERROR_PROTOCOL);
-  assert_null(fit);
-  peer_finish(&peer, client);
 }
 
 /* ---- samples ------------------------------------------------------------------------------- */

@@ -1,5 +1,5 @@
-/* Calls of the installed library that nothing else makes: surfaces, gathers that end early, and what
- * is wrong with arguments. Prints what does not hold. argv[1]: the address of a daemon */
+/* Calls of the installed library that nothing else makes: surfaces, gathers that end early, what fits of
+ * layers leave, and what is wrong with arguments. Prints what does not hold. argv[1]: the address of a daemon */
 #include <dipole.h>
 #include <math.h>
 #include <stdio.h>
@@ -101,12 +101,32 @@ static void check_gather(dipole_client *client, unsigned transport) {
   dipole_points_free(points);
 }
 
+/* A reading that the fit takes away has no residual, whatever its error. */
+static void check_layers(dipole_client *client) {
+  const dipole_medium layer = {.01, .74, 0, 1.3, 0};
+  const double at = 3, value = 2.7e-3, error = 1e-5;
+  dipole_layers_fit *fit = NULL;
+  const dipole_layers_query query = {.layers = &layer,
+                                     .layer_count = 1,
+                                     .unknowns = DIPOLE_SIGMA_A_1,
+                                     .scale = DIPOLE_ABSOLUTE,
+                                     .reading_count = 1,
+                                     .at = &at,
+                                     .values = &value,
+                                     .errors = &error};
+  CHECK(dipole_fit_layers(client, &query, &fit, NULL) && fit->estimate_count == 1);
+  CHECK(fit->reading_count == 1 && fabs(fit->residuals[0]) < .01);
+  CHECK(fabs(fit->estimates[0].value - .0314) < 1e-4 && fit->status == DIPOLE_FITTED);
+  dipole_layers_fit_free(fit);
+}
+
 int main(int argc, char **argv) {
   dipole_client *client;
   CHECK(argc == 2 && dipole_open(argv[1], &client, NULL));
   const unsigned transport = dipole_id(client, DIPOLE_MODEL, "transport");
   check_surface(client, transport);
   check_gather(client, transport);
+  check_layers(client);
   dipole_close(client);
   return failures != 0;
 }
