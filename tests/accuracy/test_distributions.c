@@ -125,3 +125,42 @@ static void check_slope(const core_profile *f64, uint64_t *random) {
 UNIT_TEST(every_slope_is_the_derivative) {
   with_every_model(check_slope);
 }
+
+/* ---- the unit of length ------------------------------------------------------------------------ */
+
+/* A medium in another unit has the same values and the same stated errors, in that unit: what is per mm
+ * is so of every number. Powers of two change no digit. */
+static void check_unit(const core_profile *profile, uint64_t *random) {
+  enum { UNIT = 1024 };
+  if (strncmp(name_of(profile), "skin-", 5) == 0) {
+    return; /* numbers of one medium */
+  }
+  core_medium scaled = profile->medium;
+  scaled.sigma_a_per_mm *= UNIT;
+  scaled.sigma_s_per_mm *= UNIT;
+  scaled.thickness_mm /= UNIT;
+  core_profile other;
+  prepare(&other, profile->model, &scaled);
+  const double r_mm = profile->scale_mm * unit_random_log(random, 0.1, 5);
+  const double at[] = {r_mm}, there[] = {r_mm / UNIT};
+  core_radii_range range, range_there;
+  core_radii_check_f64(1, at, &range);
+  core_radii_check_f64(1, there, &range_there);
+  const core_stated_errors here = core_profile_errors(profile, CORE_QUANTITY_R, range);
+  const core_stated_errors same = core_profile_errors(&other, CORE_QUANTITY_R, range_there);
+  const double value = unit_value_at(profile, CORE_QUANTITY_R, r_mm);
+  const double value_there = unit_value_at(&other, CORE_QUANTITY_R, r_mm / UNIT);
+  if (!(fabs(same.numerical - here.numerical) <= 1e-3 * here.numerical &&
+        fabs(same.numerical_per_mm / UNIT - here.numerical_per_mm) <=
+            1e-3 * here.numerical_per_mm &&
+        fabs(value_there / UNIT / UNIT / value - 1) <= 2 * here.numerical + 1e-12)) {
+    fail_msg("%s: error %g and %g, per mm %g and %g, R %g and %g", name_of(profile), here.numerical,
+             same.numerical, here.numerical_per_mm, same.numerical_per_mm / UNIT, value,
+             value_there / UNIT / UNIT);
+  }
+  core_profile_free(&other);
+}
+
+UNIT_TEST(errors_do_not_depend_on_the_unit_of_length) {
+  with_every_model(check_unit);
+}

@@ -427,6 +427,7 @@ UNIT_TEST(discs_have_the_mean_of_R) {
     for (size_t i = 0; i < sizeof discs / sizeof discs[0]; i++) {
       double at[FIT_DISC_NODES], weight[FIT_DISC_NODES], R[FIT_DISC_NODES], sum = 0;
       const size_t n = fit_disc_nodes(discs[i][0], discs[i][1], discs[i][2], at, weight);
+      assert_int_equal(fit_disc_count(discs[i][0], discs[i][1], discs[i][2]), n);
       assert_true(n <= FIT_DISC_NODES);
       core_eval_f64(&profile, CORE_QUANTITY_R, n, at, R);
       for (size_t k = 0; k < n; k++) {

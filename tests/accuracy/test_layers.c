@@ -287,6 +287,8 @@ UNIT_TEST(layers_out_of_range_are_refused) {
                         bad[i].field, bad[i].index);
     }
   }
+  const solver_layer weak_last[] = {good, {1e-4, 1e-3, 0.8, 1.4, 1}};
+  unit_assert_fault(solver_layers_check(weak_last, 2, 1), NULL, 0);
   const atomic_bool stop = true;
   solver_layers *solution;
   unit_assert_fault(solver_layers_solve(&solution, core_isa_select(NULL), &good, 1, 1, 1e-2, &stop),
