@@ -31,12 +31,9 @@ ALL_LDFLAGS = -pthread $(LDFLAGS) $(SANITIZE)
 PKG_CONFIG ?= pkg-config
 cflags = $(shell $(PKG_CONFIG) --cflags $(1))
 libs = $(shell $(PKG_CONFIG) --libs $(1))
-# CMINPACK=no builds without the model `gaussians` and fits of layers.
-CMINPACK ?= yes
 TLS_CFLAGS = $(call cflags,openssl)
 TLS_LIBS = $(call libs,openssl)
-CORE_LIBS = $(if $(filter yes,$(CMINPACK)),$(call libs,cminpack))
-CPPFLAGS += $(if $(filter yes,$(CMINPACK)),,-DCORE_WITHOUT_CMINPACK)
+CORE_LIBS = $(call libs,cminpack)
 SERVER_LIBS = $(call libs,libuv) $(TLS_LIBS) $(call libs,libmodbus) $(call libs,libmicrohttpd) $(call libs,jansson)
 
 # ---- objects -------------------------------------------------------------------------------------
@@ -110,9 +107,9 @@ $(addprefix $(OBJ)/,core/transport/table.o core/varying/rows.o core/cells/cells.
 $(addprefix $(OBJ)/core/models/,surface.avx512.f32.o varying.avx512.f32.o): ISA_FLAGS_avx512 += -mprefer-vector-width=256
 $(SERVER): EXTRA_CPPFLAGS = $(call cflags,libuv libmicrohttpd libmodbus) $(TLS_CFLAGS)
 $(OBJ)/clients/c/tls.o: EXTRA_CPPFLAGS = $(TLS_CFLAGS)
-$(OBJ)/clients/cli/image.o $(OBJ)/clients/cli/bake.o: EXTRA_CPPFLAGS = $(call cflags,libpng lcms2)
+$(OBJ)/clients/cli/image.o: EXTRA_CPPFLAGS = $(call cflags,libpng lcms2)
 $(OBJ)/clients/cli/material.o: EXTRA_CPPFLAGS = $(call cflags,expat jansson)
-$(OBJ)/core/models/gaussian_fit.o $(OBJ)/core/fit/layers.o: EXTRA_CPPFLAGS = $(if $(filter yes,$(CMINPACK)),$(call cflags,cminpack))
+$(OBJ)/core/models/gaussian_fit.o $(OBJ)/core/fit/layers.o: EXTRA_CPPFLAGS = $(call cflags,cminpack)
 
 # Files that the assembler includes. A Content-Security-Policy names the script and the style of the
 # page of --http by the sums of what stands between the tags, in base64.

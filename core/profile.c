@@ -435,7 +435,6 @@ static core_fault build_table(core_profile *profile, const struct model *model, 
       profile->numerical_errors[i] = own + source->numerical_errors[i];
     }
     profile->slope_error = source->slope_error > 0 ? source->slope_error + rounding : 0;
-    profile->numerical_error_per_mm = source->numerical_error_per_mm;
   }
   return fault;
 }
@@ -466,19 +465,17 @@ static core_fault prepare_table(core_profile *profile, const struct model *model
     free(source);
     return fault;
   }
-  profile->source = source;
+  *profile = *source;
+  profile->evaluator = CORE_EVALUATOR_LUT;
   profile->kernels = core_isa_lut_kernels(inputs.isa);
-  profile->albedo = source->albedo;
-  profile->reach = source->reach;
-  for (size_t i = 0; i <= CORE_ERROR_BANDS; i++) {
-    profile->T_errors[i] = source->T_errors[i] > 0 ? source->T_errors[i] + (double)FLT_EPSILON : 0;
-  }
-  profile->T_reach = source->T_reach;
-  memcpy(profile->balance, source->balance, sizeof profile->balance);
-  profile->balance_error = source->balance_error;
-  profile->notes = source->notes;
+  profile->source = source;
+  profile->parts = NULL;
+  profile->table = NULL;
+  profile->table_bytes = 0;
   profile->cost = 1;
-  profile->scale_mm = source->scale_mm;
+  for (size_t i = 0; i <= CORE_ERROR_BANDS; i++) {
+    profile->T_errors[i] += source->T_errors[i] > 0 ? (double)FLT_EPSILON : 0;
+  }
   fault = build_table(profile, model, tolerance);
   /* If a part of the error is independent of the tolerance, a table that misses the tolerance is
    * still useful and states its error. */
@@ -491,9 +488,6 @@ static core_fault prepare_table(core_profile *profile, const struct model *model
     return fault;
   }
   const core_medium *medium = inputs.medium;
-  profile->derivative_error = source->derivative_error;
-  profile->derivative_error_per_mm = source->derivative_error_per_mm;
-  memcpy(profile->derivative_errors, source->derivative_errors, sizeof profile->derivative_errors);
   round_derivatives(profile,
                     2 * fmax(medium->eta, 1) * (medium->sigma_a_per_mm + medium->sigma_s_per_mm));
   return fault;

@@ -1,11 +1,11 @@
 /* dipole bake: kernels, lengths and tables of a medium for engines, each with its error. */
 #include <math.h>
-#include <png.h>
 #include <string.h>
 #include <strings.h>
 #include <unistd.h>
 
 #include "clients/cli/edge.h"
+#include "clients/cli/image.h"
 #include "clients/cli/options.h"
 #include "clients/cli/profile.h"
 #include "core/varying.h"
@@ -622,35 +622,23 @@ static void write_colours(const sheet *of, bool cube) {
   }
 }
 
-/* Writes a picture as a portable float map, whose rows go upward: of lut one for each curvature, of
- * profile R and then the cdf. */
-static void write_pfm(const sheet *of) {
-  const size_t pictures = (of->columns - of->pixels_from) / 3;
-  printf("PF\n%zu %zu\n-1.0\n", of->width, pictures * of->rows / of->width);
-  for (size_t i = 0; i < pictures * of->rows; i++) {
+/* Writes a picture whose rows go upward: of lut one for each curvature, of profile R and then the cdf;
+ * grey if there is one column. */
+static int write_picture(const sheet *of, bool png) {
+  const size_t channels = of->columns == 1 ? 1 : 3;
+  const size_t count = (of->columns - of->pixels_from) / channels * of->rows;
+  const cli_image image = {of->width, count / of->width, channels,
+                           cli_allocate(count * channels, sizeof *image.values)};
+  for (size_t i = 0; i < count; i++) {
     const double *from =
-        of->values + i % of->rows * of->columns + of->pixels_from + 3 * (i / of->rows);
-    const float pixel[] = {(float)from[0], (float)from[1], (float)from[2]};
-    fwrite(pixel, sizeof pixel, 1, stdout);
+        of->values + i % of->rows * of->columns + of->pixels_from + channels * (i / of->rows);
+    float *to =
+        image.values + ((image.height - 1 - i / of->width) * of->width + i % of->width) * channels;
+    for (size_t c = 0; c < channels; c++) {
+      to[c] = (float)(png ? fmin(fmax(from[c], 0), 1) : from[c]);
+    }
   }
-}
-
-/* Writes the same picture as a PNG of 16 bits, linear; grey if there is one column. */
-static int write_png(const sheet *of) {
-  png_image image = {.version = PNG_IMAGE_VERSION,
-                     .width = (png_uint_32)of->width,
-                     .height = (png_uint_32)(of->rows / of->width),
-                     .format = of->columns == 1 ? PNG_FORMAT_LINEAR_Y : PNG_FORMAT_LINEAR_RGB};
-  const size_t channels = PNG_IMAGE_SAMPLE_CHANNELS(image.format);
-  uint16_t *levels = cli_allocate(of->rows * channels, sizeof *levels);
-  for (size_t i = 0; i < of->rows * channels; i++) {
-    const double value = of->values[i / channels * of->columns + of->pixels_from + i % channels];
-    levels[i] = (uint16_t)lround(65535 * fmin(fmax(value, 0), 1));
-  }
-  const png_int_32 upward = -(png_int_32)(of->width * channels);
-  return png_image_write_to_stdio(&image, stdout, 0, levels, upward, NULL) != 0
-             ? CLI_OK
-             : cli_fail("PNG: %s", image.message);
+  return cli_image_put("standard output", stdout, png, &image) ? CLI_OK : CLI_FAILED;
 }
 
 static int write_sheet(const sheet *of, const char *format) {
@@ -661,11 +649,7 @@ static int write_sheet(const sheet *of, const char *format) {
                             format);
     }
     put_facts(of, stderr, ""); /* pictures have no room for them */
-    if (png) {
-      return write_png(of);
-    }
-    write_pfm(of);
-    return CLI_OK;
+    return write_picture(of, png);
   }
   if (strcmp(format, "spi1d") == 0 || strcmp(format, "cube") == 0) {
     write_colours(of, format[0] == 'c');

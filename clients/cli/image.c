@@ -253,8 +253,11 @@ static bool read_pfm(const char *file, FILE *from, size_t file_bytes, cli_image 
   return true;
 }
 
-static bool write_pfm(FILE *to, const cli_image *of) {
+bool cli_image_put(const char *name, FILE *to, bool png, const cli_image *of) {
   const size_t count = of->width * of->channels;
+  if (png) {
+    return write_png(name, to, of);
+  }
   fprintf(to, "P%c\n%zu %zu\n-1.0\n", of->channels == 3 ? 'F' : 'f', of->width, of->height);
   for (size_t y = of->height; y-- > 0;) {
     fwrite(of->values + y * count, sizeof(float), count, to);
@@ -291,7 +294,7 @@ bool cli_image_write(const char *file, const cli_image *of) {
     return fail(file, strerror(errno));
   }
   errno = 0;
-  const bool written = cli_ends_with(file, ".png") ? write_png(file, to, of) : write_pfm(to, of);
+  const bool written = cli_image_put(file, to, cli_ends_with(file, ".png"), of);
   const bool good = !ferror(to) && written;
   if (fclose(to) != 0 || !good) {
     return written ? fail(file, errno != 0 ? strerror(errno) : "it cannot be written") : false;

@@ -22,4 +22,8 @@ bool cli_image_read(const char *file, bool linear, cli_image *of);
  * Says what is wrong and returns false if it cannot be written. */
 bool cli_image_write(const char *file, const cli_image *of);
 
+/* Writes it there as a PNG or a PFM, for cli_image_write(). Returns false after a message if that is not
+ * possible; of a PFM, ferror(to) says so. */
+bool cli_image_put(const char *name, FILE *to, bool png, const cli_image *of);
+
 #endif

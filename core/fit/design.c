@@ -1,4 +1,4 @@
-/* Checks, prepares and frees designs, and reads a set of readings. */
+/* Checks, prepares and frees designs. */
 #include "core/fit/fit.h"
 
 #include <math.h>
@@ -519,72 +519,4 @@ size_t core_fit_bytes(const core_fit *fit) {
          (fit->model.table != NULL ? sizeof *fit->model.table : 0) +
          fit_inverse_bytes(fit->inverse) +
          (fit->model.varies ? core_varying_bytes(&fit->model.varying) : 0);
-}
-
-/* ---- a set of readings ----------------------------------------------------------------------- */
-
-struct fit_wrong fit_check_set(size_t count, const double *values, const double *errors) {
-  for (size_t i = 0; i < count; i++) {
-    const bool known = isfinite(values[i]);
-    if (!known || !(errors[i] > 0 && errors[i] < (double)INFINITY)) {
-      return (struct fit_wrong){known ? 2 : 1, (uint32_t)i};
-    }
-  }
-  return (struct fit_wrong){0, 0};
-}
-
-static void refuse(const core_fit *fit, struct fit_wrong wrong, core_fit_result *result,
-                   double *residuals) {
-  const double nan = (double)NAN;
-  const core_fit_solution none = {nan, nan, nan, nan};
-  *result = (core_fit_result){
-      .status = CORE_FIT_STATUS_REFUSED,
-      .field = wrong.field,
-      .index = wrong.index,
-      .best = none,
-      .reduced_chi_squared = nan,
-      .condition = nan,
-      .covariance = {nan, nan, nan, nan, nan, nan},
-      .second = none,
-      .model_error = nan,
-  };
-  for (size_t i = 0; residuals != NULL && i < fit->count; i++) {
-    residuals[i] = nan;
-  }
-}
-
-core_fit_search *core_fit_search_new(void) {
-  return malloc(sizeof(core_fit_search));
-}
-
-void core_fit_search_free(core_fit_search *search) {
-  free(search);
-}
-
-bool core_fit_begin(core_fit_search *search, const core_fit *fit, const double *values,
-                    const double *errors, core_fit_result *result, double *residuals) {
-  const struct fit_wrong wrong = fit_check_set(fit->count, values, errors);
-  if (wrong.field != 0) {
-    refuse(fit, wrong, result, residuals);
-    return false;
-  }
-  fit_search_begin(search, fit, values, errors);
-  return true;
-}
-
-bool core_fit_step(core_fit_search *search, core_fit_result *result, double *residuals) {
-  const bool done = fit_search_step(search);
-  if (done) {
-    fit_search_result(search, result, residuals);
-  }
-  return !done;
-}
-
-void core_fit_run(const core_fit *fit, const double *values, const double *errors,
-                  core_fit_result *result, double *residuals) {
-  core_fit_search search;
-  bool goes_on = core_fit_begin(&search, fit, values, errors, result, residuals);
-  while (goes_on) {
-    goes_on = core_fit_step(&search, result, residuals);
-  }
 }

@@ -1,28 +1,5 @@
 #include "core/fit/layers.h"
 
-#ifdef CORE_WITHOUT_CMINPACK
-
-static const core_fault without_cminpack = {"unknowns",
-                                            "none: this build has no cminpack to fit with", 0};
-
-core_fault core_layers_fit_check(const core_layers_fit_request *request) {
-  (void)request;
-  return without_cminpack;
-}
-
-core_fault core_layers_fit_run(core_layers_fit *fit, const core_isa *isa,
-                               const core_layers_fit_request *request, double *residuals,
-                               const atomic_bool *stop) {
-  (void)fit;
-  (void)isa;
-  (void)request;
-  (void)residuals;
-  (void)stop;
-  return without_cminpack;
-}
-
-#else
-
 #include <cminpack.h>
 #include <math.h>
 #include <stdlib.h>
@@ -481,5 +458,3 @@ core_fault core_layers_fit_run(core_layers_fit *fit, const core_isa *isa,
          : starts == 0      ? search.fault
                             : put_result(&search, &found[at], second, fit, residuals);
 }
-
-#endif

@@ -8,7 +8,7 @@
  * takes its start for an estimate whose logarithms have the standard error 3, which pulls an
  * unknown of the standard error s by s^2/9 of the way; the last search starts where the first ones
  * ended. It takes some 5 to 40 s of a processor. The same request gives the same bits on every
- * machine. A build without cminpack (make CMINPACK=no) refuses all requests. */
+ * machine. */
 #ifndef DIPOLED_CORE_FIT_LAYERS_H
 #define DIPOLED_CORE_FIT_LAYERS_H
 

@@ -1,5 +1,7 @@
 #include "core/fit/search.h"
 
+#include <stdlib.h>
+
 #define CORE_REAL 64
 #include "core/kernel.h"
 
@@ -546,42 +548,6 @@ static void go_down(core_fit_search *s) {
   }
 }
 
-void fit_search_begin(core_fit_search *s, const core_fit *fit, const double *values,
-                      const double *errors) {
-  s->fit = fit;
-  s->readings = (struct fit_readings){values, errors, s->logarithms};
-  fit->model.loops->logarithms(fit->count, values, s->logarithms);
-  s->evaluations = 0;
-  s->best.found = s->best.settled = s->second.found = s->second.settled = false;
-  s->round = 0;
-  s->stage = FIT_BEGINS;
-}
-
-bool fit_search_step(core_fit_search *s) {
-  switch (s->stage) {
-  case FIT_BEGINS:
-    begin_inverse(s);
-    break;
-  case FIT_BEGINS_ROUND:
-    begin_round(s);
-    break;
-  case FIT_BEGINS_START:
-    begin_start(s);
-    break;
-  case FIT_BEGINS_MINIMUM:
-    begin_minimum(s);
-    break;
-  case FIT_INVERTS:
-  case FIT_COMES_NEAR:
-  case FIT_SETTLES:
-    go_down(s);
-    break;
-  case FIT_IS_DONE:
-    break;
-  }
-  return s->stage == FIT_IS_DONE;
-}
-
 /* Returns the model error of readings, or of their ratios to the reference medium. */
 static double model_error_of(const core_fit *fit, const core_fit_solution *best) {
   const struct fit_model *model = &fit->model;
@@ -607,7 +573,7 @@ static void set_best(const core_fit *fit, struct fit_readings readings,
   result->status = impossible ? CORE_FIT_STATUS_IMPLAUSIBLE : status_of(fit, result, settled);
 }
 
-void fit_search_result(const core_fit_search *s, core_fit_result *result, double *residuals) {
+static void put_result(const core_fit_search *s, core_fit_result *result, double *residuals) {
   const core_fit *fit = s->fit;
   const struct fit_minimum *best = &s->best, *second = &s->second;
   *result = (core_fit_result){.status = CORE_FIT_STATUS_UNFINISHED,
@@ -627,6 +593,100 @@ void fit_search_result(const core_fit_search *s, core_fit_result *result, double
   if (residuals != NULL) {
     struct fit_quadratic again;
     expand(fit, s->readings, false, best->at.place, &again, residuals);
+  }
+}
+
+/* ---- a set of readings ----------------------------------------------------------------------- */
+
+struct fit_wrong fit_check_set(size_t count, const double *values, const double *errors) {
+  for (size_t i = 0; i < count; i++) {
+    const bool known = isfinite(values[i]);
+    if (!known || !(errors[i] > 0 && errors[i] < (double)INFINITY)) {
+      return (struct fit_wrong){known ? 2 : 1, (uint32_t)i};
+    }
+  }
+  return (struct fit_wrong){0, 0};
+}
+
+static void refuse(const core_fit *fit, struct fit_wrong wrong, core_fit_result *result,
+                   double *residuals) {
+  const double nan = (double)NAN;
+  *result = (core_fit_result){
+      .status = CORE_FIT_STATUS_REFUSED,
+      .field = wrong.field,
+      .index = wrong.index,
+      .best = no_solution,
+      .reduced_chi_squared = nan,
+      .condition = nan,
+      .covariance = {nan, nan, nan, nan, nan, nan},
+      .second = no_solution,
+      .model_error = nan,
+  };
+  for (size_t i = 0; residuals != NULL && i < fit->count; i++) {
+    residuals[i] = nan;
+  }
+}
+
+core_fit_search *core_fit_search_new(void) {
+  return malloc(sizeof(core_fit_search));
+}
+
+void core_fit_search_free(core_fit_search *search) {
+  free(search);
+}
+
+bool core_fit_begin(core_fit_search *s, const core_fit *fit, const double *values,
+                    const double *errors, core_fit_result *result, double *residuals) {
+  const struct fit_wrong wrong = fit_check_set(fit->count, values, errors);
+  if (wrong.field != 0) {
+    refuse(fit, wrong, result, residuals);
+    return false;
+  }
+  s->fit = fit;
+  s->readings = (struct fit_readings){values, errors, s->logarithms};
+  fit->model.loops->logarithms(fit->count, values, s->logarithms);
+  s->evaluations = 0;
+  s->best.found = s->best.settled = s->second.found = s->second.settled = false;
+  s->round = 0;
+  s->stage = FIT_BEGINS;
+  return true;
+}
+
+bool core_fit_step(core_fit_search *s, core_fit_result *result, double *residuals) {
+  switch (s->stage) {
+  case FIT_BEGINS:
+    begin_inverse(s);
+    break;
+  case FIT_BEGINS_ROUND:
+    begin_round(s);
+    break;
+  case FIT_BEGINS_START:
+    begin_start(s);
+    break;
+  case FIT_BEGINS_MINIMUM:
+    begin_minimum(s);
+    break;
+  case FIT_INVERTS:
+  case FIT_COMES_NEAR:
+  case FIT_SETTLES:
+    go_down(s);
+    break;
+  case FIT_IS_DONE:
+    break;
+  }
+  if (s->stage != FIT_IS_DONE) {
+    return true;
+  }
+  put_result(s, result, residuals);
+  return false;
+}
+
+void core_fit_run(const core_fit *fit, const double *values, const double *errors,
+                  core_fit_result *result, double *residuals) {
+  core_fit_search search;
+  bool goes_on = core_fit_begin(&search, fit, values, errors, result, residuals);
+  while (goes_on) {
+    goes_on = core_fit_step(&search, result, residuals);
   }
 }
 

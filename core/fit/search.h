@@ -114,16 +114,6 @@ struct core_fit_search {
   double logarithms[CORE_FIT_READINGS_MAX]; /* ln of the readings */
 };
 
-/* Begins a search for readings that have been checked. */
-void fit_search_begin(core_fit_search *search, const core_fit *fit, const double *values,
-                      const double *errors);
-
-/* Continues by at most one evaluation of the model. Returns whether the search is done. */
-bool fit_search_step(core_fit_search *search);
-
-/* Sets the result, after the search is done. */
-void fit_search_result(const core_fit_search *search, core_fit_result *result, double *residuals);
-
 /* The first invalid reading. field: 1 its value, 2 its error; 0: all are valid. */
 struct fit_wrong {
   uint16_t field;

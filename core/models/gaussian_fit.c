@@ -12,16 +12,12 @@
  * up to the number that the request names, or up to GAUSSIANS_MOST. If no number meets the
  * tolerance, the preparation fails with a fault of the field `tolerance`.
  *
- * A build without cminpack (make CMINPACK=no) refuses this model with a fault of the field `model`.
- *
  * Domain: the domain of the fitted model, and radii from fit_from to fit_to. The defaults are FROM
  * and TO mean free paths 1 / sigma_t'.
  */
 #include "core/models/gaussians.h"
 
-#ifndef CORE_WITHOUT_CMINPACK
 #include <cminpack.h>
-#endif
 #include <math.h>
 #include <string.h>
 
@@ -37,25 +33,6 @@
 #define GAUSSIANS_MOST 12 /* largest value of the parameter `gaussians` */
 
 enum { POINTS = 100, CHECKS = 1000, STARTS = 2, CALLS_MAX = 200, UNKNOWNS = 2 * GAUSSIANS_MOST };
-
-#ifdef CORE_WITHOUT_CMINPACK
-
-static const core_fault without_cminpack = {
-    "model", "another one: this build has no cminpack to fit with", 0};
-
-core_fault core_gaussian_fit_check(const core_inputs *inputs, core_radii_range *radii) {
-  (void)inputs;
-  (void)radii;
-  return without_cminpack;
-}
-
-core_fault core_gaussian_fit_prepare(const core_inputs *inputs, core_preparation *preparation) {
-  (void)inputs;
-  (void)preparation;
-  return without_cminpack;
-}
-
-#else
 
 /* ---- what is requested ----------------------------------------------------------------------- */
 
@@ -282,5 +259,3 @@ core_fault core_gaussian_fit_prepare(const core_inputs *inputs, core_preparation
   core_profile_free(&profile);
   return fault;
 }
-
-#endif
