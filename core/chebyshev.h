@@ -1,8 +1,9 @@
-/* chebyshev: series of Chebyshev polynomials. */
+/* chebyshev: series of Chebyshev polynomials, and how tables of series pack their integers. */
 #ifndef DIPOLED_CORE_CHEBYSHEV_H
 #define DIPOLED_CORE_CHEBYSHEV_H
 
 #include <stddef.h>
+#include <stdint.h>
 
 /* Sets values[count] to T_0(s), T_1(s), ...; count: at least 2. */
 static inline void core_chebyshev_polynomials(size_t count, double s, double *values) {
@@ -22,6 +23,19 @@ static inline double core_chebyshev_sum(size_t count, const double *terms, doubl
     next = sum;
   }
   return terms[0] + s * next - after;
+}
+
+/* Returns the integer at *at, and moves *at behind it: in zigzag order (0, -1, 1, -2, ... are 0, 1, 2, 3,
+ * ...), seven bits to a byte, the lowest first; the eighth bit of a byte is set if another byte follows. */
+static inline int64_t core_packed_integer(const uint8_t **at) {
+  uint64_t zigzag = 0;
+  for (int shift = 0;; shift += 7) {
+    const uint8_t byte = *(*at)++;
+    zigzag |= (uint64_t)(byte & 0x7f) << shift;
+    if (byte < 0x80) {
+      return (int64_t)(zigzag >> 1) ^ -(int64_t)(zigzag & 1);
+    }
+  }
 }
 
 #endif

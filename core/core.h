@@ -532,7 +532,7 @@ void core_sample_f32(const core_profile *profile, size_t n, const float *u, floa
 core_radii_range core_table_pieces(const core_profile *profile);
 
 /* Makes a profile from a table that was built elsewhere. The caller has filled in the public part
- * of *profile; the function sets the other fields and copies the `count` words. The profile can be
+ * of *profile, the rest is 0; the function sets that and copies the `count` words. The profile can be
  * sampled and evaluates the quantities of core_table_has(), with the same bits as the profile that
  * the table was built for. Faults: `table` if the words are not a table, and `memory`. */
 core_fault core_profile_from_table(core_profile *profile, const core_isa *isa, const float *words,

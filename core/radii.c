@@ -105,24 +105,6 @@ core_fault core_grid_check(const core_grid *grid) {
   return (core_fault){0};
 }
 
-/* Returns ln(x) for a positive, normal x, from the exponent and the series of artanh for a mantissa
- * from 1 / sqrt(2) to sqrt(2). The first neglected term of the series is below 2e-18. */
-static double natural_logarithm(double x) {
-  int exponent;
-  double mantissa = frexp(x, &exponent);
-  if (mantissa < 0.70710678118654752) {
-    mantissa *= 2;
-    exponent--;
-  }
-  const double s = (mantissa - 1) / (mantissa + 1);
-  const double s_squared = s * s;
-  double series = 0;
-  for (int odd = 23; odd >= 1; odd -= 2) {
-    series = fma(series, s_squared, 1.0 / odd);
-  }
-  return fma(exponent, REAL_LN2_HI, fma(exponent, REAL_LN2_LO, 2 * s * series));
-}
-
 /* Returns start e^x for x >= 0; the result must not overflow. The power of two is applied in two
  * factors, because it may overflow by itself. */
 static double times_exp(double start, double x) {
@@ -142,10 +124,9 @@ static struct rule make_rule(const core_grid *grid) {
   struct rule rule = {grid, 0};
   if (grid->count > 1) {
     const double steps = (double)(grid->count - 1);
-    rule.step =
-        grid->spacing == CORE_SPACING_LINEAR
-            ? 2 * ((0.5 * grid->stop_mm - 0.5 * grid->start_mm) / steps)
-            : (natural_logarithm(grid->stop_mm) - natural_logarithm(grid->start_mm)) / steps;
+    rule.step = grid->spacing == CORE_SPACING_LINEAR
+                    ? 2 * ((0.5 * grid->stop_mm - 0.5 * grid->start_mm) / steps)
+                    : (real_log(grid->stop_mm, 0) - real_log(grid->start_mm, 0)) / steps;
   }
   return rule;
 }

@@ -1,7 +1,6 @@
 /* FORMAT of aperture.table: for each side of eta = 1, below first, each term of v, of g and of ln u, and
- * each term of s: the number of terms of y in a byte, and each of them as an integer, the coefficient
- * over FIT_APERTURE_QUANTUM, in zigzag order (0, -1, 1, -2, ... become 0, 1, 2, 3, ...), seven bits to
- * a byte, the lowest first; the eighth bit of a byte is set if another byte follows. */
+ * each term of s: the number of terms of y in a byte, and each of them as a packed integer
+ * (core/chebyshev.h), the coefficient over FIT_APERTURE_QUANTUM. */
 #include "core/fit/aperture.h"
 
 #include <assert.h>
@@ -97,17 +96,6 @@ double fit_aperture_x(size_t i, double ratio) {
 
 /* ---- the series ------------------------------------------------------------------------------ */
 
-static int64_t read_integer(const uint8_t **next) {
-  uint64_t zigzag = 0;
-  for (int shift = 0;; shift += 7) {
-    const uint8_t byte = *(*next)++;
-    zigzag |= (uint64_t)(byte & 0x7f) << shift;
-    if (byte < 0x80) {
-      return (int64_t)(zigzag >> 1) ^ -(int64_t)(zigzag & 1);
-    }
-  }
-}
-
 void fit_aperture_prepare(fit_aperture *aperture, double g, double eta, double NA) {
   assert(g >= 0 && g <= FIT_APERTURE_G_MOST && NA > 0 && NA <= 1);
   assert(eta >= FIT_APERTURE_ETA_LEAST && eta <= FIT_APERTURE_ETA_MOST);
@@ -130,7 +118,7 @@ void fit_aperture_prepare(fit_aperture *aperture, double g, double eta, double N
         FIT_APERTURE_QUANTUM * by_eta[row / RATIOS / CONES / GS] * by_g[k] * by_u[cone];
     const size_t terms = *next++;
     for (size_t i = 0; i < terms; i++) {
-      aperture->term[s][i] += factor * (double)read_integer(&next);
+      aperture->term[s][i] += factor * (double)core_packed_integer(&next);
     }
   }
 }

@@ -68,26 +68,12 @@ core_fault core_profile_from_table(core_profile *profile, const core_isa *isa, c
     return CORE_OUT_OF_MEMORY;
   }
   memcpy(copy, words, count * sizeof *copy);
-  const core_profile facts = *profile;
-  *profile = (core_profile){
-      .medium = facts.medium,
-      .model = facts.model,
-      .moments = facts.moments,
-      .evaluator = CORE_EVALUATOR_LUT,
-      .albedo = facts.albedo,
-      .numerical_error = facts.numerical_error,
-      .numerical_error_per_mm = facts.numerical_error_per_mm,
-      .reach = facts.reach,
-      .notes = facts.notes,
-      .radii = facts.radii,
-      .cost = 1,
-      .kernels = core_isa_lut_kernels(isa),
-      .lut = copy,
-      .lut_count = count,
-      .cos_in = 1,
-      .cos_out = 1,
-  };
-  memcpy(profile->numerical_errors, facts.numerical_errors, sizeof facts.numerical_errors);
+  profile->evaluator = CORE_EVALUATOR_LUT;
+  profile->cost = 1;
+  profile->kernels = core_isa_lut_kernels(isa);
+  profile->lut = copy;
+  profile->lut_count = count;
+  profile->cos_in = profile->cos_out = 1;
   profile->scale_mm = ldexp(1, samples_exponent(profile) + CORE_LUT_SCALE_OCTAVE);
   return (core_fault){0};
 }

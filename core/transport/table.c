@@ -152,21 +152,10 @@ uint64_t transport_table_checksum(const uint8_t *bytes, size_t length) {
   return hash;
 }
 
-/* Read a number at *at and move *at behind it. The checksum guarantees that the bytes are a
+/* Returns the number at *at, and moves *at behind it. The checksum guarantees that the bytes are a
  * table. */
 static size_t read_count(const uint8_t **at) {
   return *(*at)++;
-}
-
-static int32_t read_integer(const uint8_t **at) {
-  uint64_t zigzag = 0;
-  for (int shift = 0;; shift += 7) {
-    const uint8_t byte = *(*at)++;
-    zigzag |= (uint64_t)(byte & 0x7f) << shift;
-    if (byte < 0x80) {
-      return (int32_t)((uint32_t)(zigzag >> 1) ^ -(uint32_t)(zigzag & 1));
-    }
-  }
 }
 
 static size_t number_of_totals(int side) {
@@ -188,7 +177,7 @@ static void read_series(const uint8_t **at, bool of_g, bool is_total, struct pac
       for (size_t i = 0; i < of_albedo; i++) {
         const size_t of_v = read_count(at);
         for (size_t j = 0; j < of_v; j++) {
-          const int32_t c = read_integer(at);
+          const int32_t c = (int32_t)core_packed_integer(at);
           const size_t inner = is_total ? j : k;
           series->terms = inner < series->terms ? series->terms : inner + 1;
           const size_t of_i = l * TERMS_MAX + (is_total ? 0 : j), block = i * BLOCKS_MAX + of_i;

@@ -53,8 +53,7 @@
  * the table's range), each mapped to -1 to 1. A series of D is a sum of c_klij T_k T_l T_i T_j over
  * y, w, u and v. The bytes of a series are the number of k (one byte; 1 for a total), for each k the
  * number of the next index (one byte), and so on, and for each j the integer c / quantum, of at most
- * 32 bits. An integer is written in zigzag order (0, -1, 1, -2, ... become 0, 1, 2, 3, ...), seven
- * bits to a byte, the lowest first; the eighth bit of a byte is set if another byte follows.
+ * 32 bits, packed as core/chebyshev.h says.
  *
  * ERROR: the table was compared with the solvers at media and radii that were not used to make it.
  * The stated errors are TRANSPORT_TABLE_MARGIN times the largest relative error that was found, of
