@@ -172,6 +172,15 @@ uint16_t registers_word(const uint16_t image[REGISTERS_END], unsigned address) {
   return image[image_index(address)];
 }
 
+void registers_read(const uint16_t image[REGISTERS_END], unsigned address, unsigned count,
+                    uint8_t *values) {
+  for (unsigned i = 0; i < count; i++) {
+    const uint16_t word = registers_word(image, address + i);
+    values[2 * i] = (uint8_t)(word >> 8);
+    values[2 * i + 1] = (uint8_t)word;
+  }
+}
+
 void registers_set_text(uint16_t image[REGISTERS_END], unsigned address, unsigned count,
                         const char *text) {
   for (unsigned i = 0; i < count; i++) {

@@ -190,6 +190,10 @@ static inline float registers_f32(const uint16_t *image, unsigned address) {
 /* Returns the register at any address, of a mirror too. */
 uint16_t registers_word(const uint16_t image[REGISTERS_END], unsigned address);
 
+/* Reads `count` registers, as in a PDU. */
+void registers_read(const uint16_t image[REGISTERS_END], unsigned address, unsigned count,
+                    uint8_t *values);
+
 /* These set one value. */
 static inline void registers_set_u16(uint16_t *image, unsigned address, unsigned value) {
   image[address] = (uint16_t)value;

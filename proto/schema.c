@@ -139,15 +139,23 @@ static size_t kind_bytes(enum schema_kind kind) {
   return bytes[kind];
 }
 
-const schema_field *schema_field_of(const schema_payload *payload, const char *name) {
+/* Finds the field of this name, and sets *at to its offset; NULL: there is none. */
+static const schema_field *find_field(const schema_payload *payload, const char *name, size_t *at) {
+  *at = 0;
   for (int i = 0; i < 2 && payload->structures[i] != NULL; i++) {
     for (const schema_field *field = payload->structures[i]->fields; field->name != NULL; field++) {
       if (strcmp(field->name, name) == 0) {
         return field;
       }
+      *at += field->bytes;
     }
   }
   return NULL;
+}
+
+const schema_field *schema_field_of(const schema_payload *payload, const char *name) {
+  size_t at;
+  return find_field(payload, name, &at);
 }
 
 unsigned schema_all_bits(const core_choice *list) {
@@ -196,22 +204,6 @@ WIRE_COLD static wire_error too_short(const schema_payload *payload) {
            payload->structures[0]->name, two ? " and " : "",
            two ? payload->structures[1]->name : "");
   return wire_error_make(WIRE_STATUS_BAD_LENGTH, "payload_bytes", allowed);
-}
-
-/* Reads the integer of a field that has this name, at most 8 bytes. */
-static uint64_t read_named(const schema_payload *payload, const uint8_t *bytes, const char *name) {
-  size_t at = 0;
-  for (int i = 0; i < 2 && payload->structures[i] != NULL; i++) {
-    for (const schema_field *field = payload->structures[i]->fields; field->name != NULL; field++) {
-      if (strcmp(field->name, name) == 0) {
-        uint64_t number = 0;
-        memcpy(&number, bytes + at, field->bytes);
-        return number;
-      }
-      at += field->bytes;
-    }
-  }
-  return 0;
 }
 
 double schema_number_at(const schema_field *field, const void *at) {
@@ -264,9 +256,12 @@ static wire_error check_fields(const schema_payload *payload, const uint8_t *byt
       if (!check_value(field, bits, &error)) {
         return error;
       }
-      if (field->zero_with != NULL && bits << 1 != 0 && /* it is neither 0 nor -0. */
-          read_named(payload, bytes, field->zero_with) == field->zero_at) {
-        return wire_error_make(WIRE_STATUS_BAD_VALUE, field->name, field->zero_text);
+      if (field->zero_with != NULL && bits << 1 != 0) { /* it is neither 0 nor -0. */
+        size_t with_at;
+        const schema_field *with = find_field(payload, field->zero_with, &with_at);
+        if (schema_number_at(with, bytes + with_at) == field->zero_at) {
+          return wire_error_make(WIRE_STATUS_BAD_VALUE, field->name, field->zero_text);
+        }
       }
       at += field_bytes;
     }

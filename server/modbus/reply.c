@@ -129,11 +129,7 @@ static size_t put_registers(const struct modbus_unit *unit, const struct modbus_
                             uint8_t *reply) {
   reply[0] = (uint8_t)request->function;
   reply[1] = (uint8_t)(2 * request->count);
-  for (unsigned i = 0; i < request->count; i++) {
-    const uint16_t word = registers_word(unit->registers, request->address + i);
-    reply[2 + 2 * i] = (uint8_t)(word >> 8);
-    reply[3 + 2 * i] = (uint8_t)word;
-  }
+  registers_read(unit->registers, request->address, request->count, reply + 2);
   return 2 + 2 * (size_t)request->count;
 }
 

@@ -323,17 +323,17 @@ static void set_fields(enum registers_job_kind kind, const schema_structure *str
 }
 
 /* Returns the radii of the request. Those of a grid are computed into `room`. */
-static struct values radii_of(const uint8_t *request, const wire_eval_request *fixed,
+static struct values radii_of(const uint8_t *request, size_t value_bytes,
                               double room[REGISTERS_RADII_MAX]) {
-  const size_t value_bytes = core_evaluator_bytes(fixed->evaluator);
-  if (fixed->spacing == CORE_SPACING_LIST) {
+  wire_eval_request fixed;
+  wire_get_eval_request(request, &fixed);
+  if (fixed.spacing == CORE_SPACING_LIST) {
     return (struct values){request + WIRE_BYTES_eval_request +
-                               fixed->layer_count * WIRE_BYTES_medium +
-                               fixed->parameter_count * WIRE_BYTES_parameter,
+                               fixed.layer_count * WIRE_BYTES_medium +
+                               fixed.parameter_count * WIRE_BYTES_parameter,
                            value_bytes};
   }
-  const core_grid grid = {fixed->spacing, fixed->radius_count, fixed->radius_start,
-                          fixed->radius_stop};
+  const core_grid grid = {fixed.spacing, fixed.radius_count, fixed.radius_start, fixed.radius_stop};
   core_grid_radii(&grid, 0, (size_t)grid.count, value_bytes == sizeof(float), room);
   return (struct values){(const uint8_t *)room, value_bytes};
 }
@@ -355,15 +355,6 @@ static float stated_error(const wire_quantity_error *error, double r, bool round
                     (rounded ? 0x1p-24 : 0));
 }
 
-static void set_errors(uint16_t image[REGISTERS_END], const wire_quantity_error *error, double r,
-                       bool rounded) {
-  registers_set_f32(image, REGISTERS_AT_NUMERICAL_ERROR, stated_error(error, r, rounded));
-  registers_set_f32(image, REGISTERS_AT_MODEL_ERROR, rounded_up(error->model_error));
-  registers_set_f64(image, REGISTERS_AT_NUMERICAL_ERROR_DOUBLE, error->numerical_error);
-  registers_set_f64(image, REGISTERS_AT_NUMERICAL_ERROR_PER_MM, error->numerical_error_per_mm);
-  registers_set_f64(image, REGISTERS_AT_MODEL_ERROR_DOUBLE, error->model_error);
-}
-
 /* Sets the errors of each quantity; NaN for those that are not wanted. */
 static void set_errors_of_each(uint16_t image[REGISTERS_END], const uint8_t *reply,
                                const eval_layout *layout, unsigned wanted, double r, bool rounded) {
@@ -380,79 +371,72 @@ static void set_errors_of_each(uint16_t image[REGISTERS_END], const uint8_t *rep
   }
 }
 
-static struct values array_of(const uint8_t *reply, const eval_layout *layout,
-                              const wire_eval_reply *start, enum core_quantity quantity) {
-  const size_t value_bytes = core_evaluator_bytes(start->evaluator);
-  if (!eval_is_array(start->wanted, quantity)) {
-    return (struct values){NULL, value_bytes};
-  }
-  return (struct values){reply + eval_array_offset(layout, start->wanted, 0, quantity),
+static struct values array_of(const uint8_t *reply, const eval_layout *layout, unsigned wanted,
+                              size_t value_bytes, enum core_quantity quantity) {
+  const bool there = eval_is_array(wanted, quantity);
+  return (struct values){there ? reply + eval_array_offset(layout, wanted, 0, quantity) : NULL,
                          value_bytes};
 }
 
-static void take_eval(const uint8_t *request, const uint8_t *reply, size_t reply_bytes,
-                      uint16_t image[REGISTERS_END]) {
-  static const struct {
-    enum core_quantity quantity;
-    unsigned single_at, double_at;
-  } arrays[] = {{CORE_QUANTITY_R, REGISTERS_AT_R, REGISTERS_AT_R_DOUBLE},
-                {CORE_QUANTITY_CDF, REGISTERS_AT_CDF, REGISTERS_AT_CDF_DOUBLE},
-                {CORE_QUANTITY_T, REGISTERS_AT_T, 0},
-                {CORE_QUANTITY_S, REGISTERS_AT_S, REGISTERS_AT_S_DOUBLE}};
-  wire_eval_request fixed;
-  wire_eval_reply start;
-  eval_layout layout;
-  wire_get_eval_request(request, &fixed);
-  wire_get_eval_reply(reply, &start);
-  const unsigned count = (unsigned)start.count;
-  const bool fits =
-      eval_reply_layout(start.evaluator, start.wanted, 1, count, reply_bytes, &layout);
-  assert(fits && count <= REGISTERS_RADII_MAX);
-
-  double room[REGISTERS_RADII_MAX];
-  fixed.evaluator = start.evaluator;
-  const struct values radii = radii_of(request, &fixed, room);
-  const unsigned before = registers_u16(image, REGISTERS_AT_COUNT);
-  for (size_t i = 0; i < sizeof arrays / sizeof arrays[0]; i++) {
-    const struct values values = array_of(reply, &layout, &start, arrays[i].quantity);
-    set_values(image, arrays[i].single_at, arrays[i].double_at, &values, count, before);
-  }
-  set_values(image, REGISTERS_AT_DISTANCES, 0, &radii, count, before);
-  const wire_quantity_error error = eval_largest_error(reply, &layout, start.wanted, 0);
-  const double most_mm = largest(&radii, count);
-  set_errors(image, &error, most_mm, radii.bytes == sizeof(double));
-  set_errors_of_each(image, reply, &layout, start.wanted, most_mm, radii.bytes == sizeof(double));
-  double albedo;
-  memcpy(&albedo, reply + eval_albedo_offset(0), sizeof albedo);
+/* Sets what only an eval has. */
+static void set_eval(uint16_t image[REGISTERS_END], const uint8_t *reply,
+                     const wire_eval_reply *start, const wire_quantity_error *error) {
+  const double albedo = schema_real_at(reply + eval_albedo_offset(0), 0, false);
+  registers_set_f64(image, REGISTERS_AT_NUMERICAL_ERROR_DOUBLE, error->numerical_error);
+  registers_set_f64(image, REGISTERS_AT_NUMERICAL_ERROR_PER_MM, error->numerical_error_per_mm);
+  registers_set_f64(image, REGISTERS_AT_MODEL_ERROR_DOUBLE, error->model_error);
   registers_set_f32(image, REGISTERS_AT_ALBEDO, (float)albedo);
   registers_set_f64(image, REGISTERS_AT_ALBEDO_DOUBLE, albedo);
-  registers_set_u16(image, REGISTERS_AT_COUNT, count);
-  registers_set_u16(image, REGISTERS_AT_MODEL_TAKEN, start.model);
-  registers_set_u16(image, REGISTERS_AT_EVALUATOR_TAKEN, start.evaluator);
-  registers_set_u16(image, REGISTERS_AT_NOTES, start.notes);
+  registers_set_u16(image, REGISTERS_AT_MODEL_TAKEN, start->model);
+  registers_set_u16(image, REGISTERS_AT_EVALUATOR_TAKEN, start->evaluator);
 }
 
-static void take_sample(const uint8_t *reply, size_t reply_bytes, uint16_t image[REGISTERS_END]) {
+/* Takes the reply to an eval, or to a sample. */
+static void take_eval(bool drawn, const uint8_t *request, const uint8_t *reply, size_t reply_bytes,
+                      uint16_t image[REGISTERS_END]) {
+  static const struct {
+    bool drawn;
+    enum core_quantity quantity;
+    unsigned single_at, double_at;
+  } arrays[] = {{false, CORE_QUANTITY_R, REGISTERS_AT_R, REGISTERS_AT_R_DOUBLE},
+                {false, CORE_QUANTITY_CDF, REGISTERS_AT_CDF, REGISTERS_AT_CDF_DOUBLE},
+                {false, CORE_QUANTITY_T, REGISTERS_AT_T, 0},
+                {false, CORE_QUANTITY_S, REGISTERS_AT_S, REGISTERS_AT_S_DOUBLE},
+                {true, CORE_QUANTITY_RADIUS, REGISTERS_AT_SAMPLE_R, 0},
+                {true, CORE_QUANTITY_PDF, REGISTERS_AT_SAMPLE_PDF, 0}};
   wire_eval_reply start;
   eval_layout layout;
-  const bool whole = eval_reply_parse(reply, reply_bytes, true, &start, &layout);
-  assert(whole && start.count <= REGISTERS_RADII_MAX);
-  const size_t value_bytes = core_evaluator_bytes(start.evaluator);
-  const unsigned drawn = SAMPLE_WANTED | EVAL_DRAWN;
-  const struct values radii = {reply + eval_array_offset(&layout, drawn, 0, CORE_QUANTITY_RADIUS),
-                               value_bytes};
-  const struct values pdf = {reply + eval_array_offset(&layout, drawn, 0, CORE_QUANTITY_PDF),
-                             value_bytes};
-  const unsigned count = (unsigned)start.count;
-  const wire_quantity_error error = eval_largest_error(reply, &layout, drawn, 0);
-  const unsigned before = registers_u16(image, REGISTERS_AT_SAMPLE_COUNT);
-  set_values(image, REGISTERS_AT_SAMPLE_R, 0, &radii, count, before);
-  set_values(image, REGISTERS_AT_SAMPLE_PDF, 0, &pdf, count, before);
-  registers_set_f32(image, REGISTERS_AT_SAMPLE_NUMERICAL_ERROR,
-                    stated_error(&error, largest(&radii, count), value_bytes == sizeof(double)));
-  registers_set_f32(image, REGISTERS_AT_SAMPLE_MODEL_ERROR, rounded_up(error.model_error));
-  registers_set_u16(image, REGISTERS_AT_SAMPLE_COUNT, count);
-  registers_set_u16(image, REGISTERS_AT_SAMPLE_NOTES, start.notes);
+  double room[REGISTERS_RADII_MAX];
+  wire_get_eval_reply(reply, &start);
+  const unsigned wanted = start.wanted | (drawn ? EVAL_DRAWN : 0), count = (unsigned)start.count;
+  const bool fits = eval_reply_layout(start.evaluator, wanted, 1, count, reply_bytes, &layout);
+  assert(fits && count <= REGISTERS_RADII_MAX);
+  const size_t bytes = core_evaluator_bytes(start.evaluator);
+  const bool rounded = bytes == sizeof(double);
+  const unsigned count_at = drawn ? REGISTERS_AT_SAMPLE_COUNT : REGISTERS_AT_COUNT;
+  const unsigned before = registers_u16(image, count_at);
+  for (size_t i = 0; i < sizeof arrays / sizeof arrays[0]; i++) {
+    if (arrays[i].drawn == drawn) {
+      const struct values values = array_of(reply, &layout, wanted, bytes, arrays[i].quantity);
+      set_values(image, arrays[i].single_at, arrays[i].double_at, &values, count, before);
+    }
+  }
+  const struct values radii = drawn ? array_of(reply, &layout, wanted, bytes, CORE_QUANTITY_RADIUS)
+                                    : radii_of(request, bytes, room);
+  const double most_mm = largest(&radii, count);
+  const wire_quantity_error error = eval_largest_error(reply, &layout, wanted, 0);
+  registers_set_u16(image, count_at, count);
+  registers_set_u16(image, drawn ? REGISTERS_AT_SAMPLE_NOTES : REGISTERS_AT_NOTES, start.notes);
+  registers_set_f32(image,
+                    drawn ? REGISTERS_AT_SAMPLE_NUMERICAL_ERROR : REGISTERS_AT_NUMERICAL_ERROR,
+                    stated_error(&error, most_mm, rounded));
+  registers_set_f32(image, drawn ? REGISTERS_AT_SAMPLE_MODEL_ERROR : REGISTERS_AT_MODEL_ERROR,
+                    rounded_up(error.model_error));
+  if (!drawn) {
+    set_values(image, REGISTERS_AT_DISTANCES, 0, &radii, count, before);
+    set_errors_of_each(image, reply, &layout, wanted, most_mm, rounded);
+    set_eval(image, reply, &start, &error);
+  }
 }
 
 /* Sets the registers of a reply's numbers by their names: of its structure, of lists of structures and of
@@ -582,10 +566,8 @@ enum registers_status modbus_translate_reply(enum registers_job_kind kind, const
   schema_layout layout;
   switch (kind) {
   case REGISTERS_JOB_EVAL:
-    take_eval(request, reply, reply_bytes, image);
-    break;
   case REGISTERS_JOB_SAMPLE:
-    take_sample(reply, reply_bytes, image);
+    take_eval(kind == REGISTERS_JOB_SAMPLE, request, reply, reply_bytes, image);
     break;
   case REGISTERS_JOB_MC:
     take_mc(reply, reply_bytes, image);

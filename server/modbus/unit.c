@@ -97,11 +97,7 @@ static void note_busy(struct modbus_unit *unit) {
 static unsigned commit_task(struct modbus_unit *unit, struct modbus_task *task, unsigned address,
                             unsigned count, const uint8_t *values, struct client *client) {
   uint8_t before[2 * WRITE_MAX];
-  for (unsigned i = 0; i < count; i++) {
-    const uint16_t word = registers_word(unit->registers, address + i);
-    before[2 * i] = (uint8_t)(word >> 8);
-    before[2 * i + 1] = (uint8_t)word;
-  }
+  registers_read(unit->registers, address, count, before);
   registers_write(unit->registers, address, count, values);
   const unsigned etas = etas_after(unit, address, count, values);
   wire_error error = start_task(unit, task, etas, client);
