@@ -148,15 +148,18 @@ def test_a_job_that_is_given_up_is_cancelled(shared):
     run(ask())
 
 
-def test_a_closed_client(shared):
+def test_a_closed_client(daemon):
+    """The daemon stands still, so that the client is closed before the answer."""
+    one = daemon()
+
     async def ask() -> None:
-        client = AsyncClient(shared.url())
+        client = AsyncClient(one.url())
         with pytest.raises(dipole.ArgumentError, match="not open"):
             await client.ping()
         await client.open()
-        waiting = asyncio.create_task(client.eval("beam", Medium(0.0123, 1.0), [1.0],
-                                                  evaluator="lut"))
-        await asyncio.sleep(0.01)
+        one.pause()
+        waiting = asyncio.create_task(client.eval("better", SKIN, [1.0]))
+        await asyncio.sleep(0)
         await client.close()
         await client.close()
         with pytest.raises(dipole.ConnectionLost, match="closed"):
@@ -164,7 +167,10 @@ def test_a_closed_client(shared):
         with pytest.raises(dipole.ConnectionLost, match="closed"):
             await client.ping()
 
-    run(ask())
+    try:
+        run(ask())
+    finally:
+        one.process.send_signal(signal.SIGCONT)
 
 
 @pytest.mark.parametrize("timeout_s", [30.0, None])

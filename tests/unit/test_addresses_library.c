@@ -145,101 +145,80 @@ UNIT_TEST(test_clients_spread) {
 
 /* ---- going on elsewhere -------------------------------------------------------------------- */
 
-typedef struct pair {
-  scripted_peer peers[2];
-  char *list;
-} pair;
+/* What two daemons do, connection by connection, and who answers in the end. */
+static const struct pair {
+  peer_script *scripts[2][4];
+  unsigned retry_ms;   /* 0: the usual */
+  unsigned timeout_ms; /* 0: the usual */
+  int64_t least_ms;    /* that an answer takes */
+  int answers;         /* the number of the daemon; NOBODY */
+} pairs[] = {
+#define NOBODY 2
+    /* A silent one is left; the other one has as long. */
+    {.scripts = {{peer_be_silent}, {peer_serve}}, .timeout_ms = 1000, .answers = 1},
+    /* A dead one has a share of the time, so that time is left for the other one. */
+    {.scripts = {{peer_hang_up_after_request, peer_serve}, {peer_accept_only}},
+     .retry_ms = 2000,
+     .least_ms = 500},
+    /* One with other lists is passed over. */
+    {.scripts = {{peer_hang_up_after_request, peer_serve}, {peer_serve_other_lists}}},
+    {.scripts = {{peer_hang_up_after_request}, {peer_hang_up_at_once}},
+     .retry_ms = 300,
+     .answers = NOBODY},
+};
 
-static void start_pair(pair *both, peer_script *const *first, peer_script *const *second) {
-  peer_start_scripts(&both->peers[0], first, NULL);
-  peer_start_scripts(&both->peers[1], second, NULL);
-  const char *const addresses[] = {both->peers[0].address, both->peers[1].address};
-  both->list = peer_list(addresses, 2);
+static dipole_client *open_pair(scripted_peer peers[2], peer_script *const scripts[2][4],
+                                const dipole_options *options) {
+  peer_start_scripts(&peers[0], scripts[0], NULL);
+  peer_start_scripts(&peers[1], scripts[1], NULL);
+  const char *const addresses[] = {peers[0].address, peers[1].address};
+  char *list = peer_list(addresses, 2);
+  dipole_client *client = peer_open(list, options);
+  free(list);
+  return client;
 }
 
-static void end_pair(pair *both) {
-  peer_end(&both->peers[0]);
-  peer_end(&both->peers[1]);
-  free(both->list);
-}
-
-/* The second daemon answers what the first one did not; after the second is lost, the first again.
- */
-UNIT_TEST(test_round_and_round) {
-  peer_script *const first[] = {peer_answer_seven, peer_hang_up_after_request, peer_serve, NULL};
-  peer_script *const second[] = {peer_answer_seven, peer_hang_up_after_hello, NULL};
-  pair both;
-  start_pair(&both, first, second);
-  dipole_client *client = peer_open(both.list, NULL);
-  peer_check_each(client, 25);
-  assert_string_equal(dipole_address(client), both.peers[0].address);
-  assert_string_equal(dipole_get_info(client)->address, both.peers[0].address);
+static void close_pair(scripted_peer peers[2], dipole_client *client) {
   dipole_close(client);
-  end_pair(&both);
+  peer_end(&peers[0]);
+  peer_end(&peers[1]);
 }
 
-UNIT_TEST(test_a_silent_one_is_left) {
-  peer_script *const first[] = {peer_be_silent, NULL};
-  peer_script *const second[] = {peer_serve, NULL};
-  pair both;
-  start_pair(&both, first, second);
-  dipole_client *client = peer_open(both.list, NULL);
-  dipole_set_timeout_ms(client, 1000); /* the other one has as long */
-  peer_check_eval(client, 5);
-  assert_string_equal(dipole_address(client), both.peers[1].address);
-  dipole_close(client);
-  end_pair(&both);
-}
-
-/* The attempt at a daemon that does not answer ends after a share of the time, so that time is left
- * for the other daemon. */
-UNIT_TEST(test_a_dead_one_has_its_share) {
-  peer_script *const first[] = {peer_hang_up_after_request, peer_serve, NULL};
-  peer_script *const second[] = {peer_accept_only, NULL};
-  dipole_options options = peer_options();
-  pair both;
-  options.connect_timeout_ms = 0;
-  options.retry_ms = 2000;
-  start_pair(&both, first, second);
-  dipole_client *client = peer_open(both.list, &options);
-  const int64_t start_ms = peer_now_ms();
-  peer_check_eval(client, 5);
-  assert_true(peer_now_ms() - start_ms >= 500);
-  assert_string_equal(dipole_address(client), both.peers[0].address);
-  dipole_close(client);
-  end_pair(&both);
-}
-
-UNIT_TEST(test_one_with_other_lists_is_passed_over) {
-  peer_script *const first[] = {peer_hang_up_after_request, peer_serve, NULL};
-  peer_script *const second[] = {peer_serve_other_lists, NULL};
-  pair both;
-  start_pair(&both, first, second);
-  dipole_client *client = peer_open(both.list, NULL);
-  peer_check_eval(client, 5);
-  assert_string_equal(dipole_address(client), both.peers[0].address);
-  dipole_close(client);
-  end_pair(&both);
-}
-
-UNIT_TEST(test_all_are_gone) {
-  peer_script *const first[] = {peer_hang_up_after_request, NULL};
-  peer_script *const second[] = {peer_hang_up_at_once, NULL};
-  const dipole_query query = peer_query(5);
-  dipole_options options = peer_options();
-  dipole_result *result;
-  dipole_error error;
-  pair both;
-  options.retry_ms = 300;
-  start_pair(&both, first, second);
-  dipole_client *client = peer_open(both.list, &options);
-  for (unsigned i = 0; i < 2; i++) {
-    assert_false(dipole_eval(client, &query, &result, &error));
-    assert_int_equal(error.kind, DIPOLE_ERROR_CONNECTION);
-    assert_non_null(strstr(error.text, "connecting again failed"));
+UNIT_TEST(test_going_on_elsewhere) {
+  for (size_t i = 0; i < sizeof pairs / sizeof pairs[0]; i++) {
+    const struct pair *row = &pairs[i];
+    dipole_options options = peer_options();
+    scripted_peer peers[2];
+    options.connect_timeout_ms = 0;
+    options.retry_ms = row->retry_ms > 0 ? row->retry_ms : options.retry_ms;
+    dipole_client *client = open_pair(peers, row->scripts, &options);
+    const int64_t start_ms = peer_now_ms();
+    if (row->timeout_ms > 0) {
+      dipole_set_timeout_ms(client, row->timeout_ms);
+    }
+    for (int again = 0; row->answers == NOBODY && again < 2; again++) {
+      const dipole_error error = peer_check_failure(client, DIPOLE_ERROR_CONNECTION);
+      assert_non_null(strstr(error.text, "connecting again failed"));
+    }
+    if (row->answers != NOBODY) {
+      peer_check_eval(client, 5);
+      assert_string_equal(dipole_address(client), peers[row->answers].address);
+    }
+    assert_true(peer_now_ms() - start_ms >= row->least_ms);
+    close_pair(peers, client);
   }
-  dipole_close(client);
-  end_pair(&both);
+}
+
+/* The second daemon answers what the first one did not; after the second is lost, the first again. */
+UNIT_TEST(test_round_and_round) {
+  peer_script *const scripts[2][4] = {{peer_answer_seven, peer_hang_up_after_request, peer_serve},
+                                      {peer_answer_seven, peer_hang_up_after_hello}};
+  scripted_peer peers[2];
+  dipole_client *client = open_pair(peers, scripts, NULL);
+  peer_check_each(client, 25);
+  assert_string_equal(dipole_address(client), peers[0].address);
+  assert_string_equal(dipole_get_info(client)->address, peers[0].address);
+  close_pair(peers, client);
 }
 
 /* ---- private daemons ----------------------------------------------------------------------- */
