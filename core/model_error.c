@@ -27,17 +27,10 @@ core_model_errors core_model_errors_unknown(void) {
 
 #define SLACK 1e-7 /* relative; rounding a radius to single precision changes it by less */
 
-/* Returns the band of a radius in mean free paths: 0 to BANDS - 1, or BANDS if it is outside of
- * all. A radius within SLACK of an edge is in the band above it, or if `below`, in the band below
- * it. */
-static size_t band_of(double mfp, bool below) {
-  const double *edges = core_error_edges_mfp;
-  if (!(mfp >= edges[0] * (1 - SLACK) && mfp <= edges[BANDS] * (1 + SLACK))) {
-    return BANDS;
-  }
-  const double moved = mfp * (below ? 1 - SLACK : 1 + SLACK);
+/* Returns the band that a radius in mean free paths is in, of this many bands. */
+static size_t band_of(double mfp, size_t bands) {
   size_t band = 0;
-  while (band + 1 < BANDS && moved > edges[band + 1]) {
+  while (band + 1 < bands && core_error_edges_mfp[band + 1] < mfp) {
     band++;
   }
   return band;
@@ -48,17 +41,27 @@ static double larger(double a, double b) {
   return isnan(a) || a > b ? a : b;
 }
 
+/* Returns the largest of errors by band at these radii. A radius within SLACK of an edge is in the band
+ * above it if it is the least, in the band below if it is the largest. */
+static double largest(const double *errors, size_t bands, const core_medium *medium,
+                      core_radii_range radii) {
+  const double sigma_t_prime = core_sigma_t_prime(medium);
+  const double most = radii.most_mm * sigma_t_prime * (1 - SLACK);
+  size_t band = band_of(radii.least_mm * sigma_t_prime * (1 + SLACK), bands);
+  double error = errors[band];
+  while (band + 1 < bands && core_error_edges_mfp[band + 1] < most) {
+    error = larger(error, errors[++band]);
+  }
+  return error;
+}
+
 /* Returns the largest error of R at these radii, or NAN if it is not known. */
 static double error_of_R(const core_model_errors *errors, const core_medium *medium,
                          core_radii_range radii) {
   const double sigma_t_prime = core_sigma_t_prime(medium);
-  const size_t first = band_of(radii.least_mm * sigma_t_prime, false);
-  const size_t last = band_of(radii.most_mm * sigma_t_prime, true);
-  double error = first < BANDS && last < BANDS ? errors->error[first] : (double)NAN;
-  for (size_t band = first + 1; band <= last && last < BANDS; band++) {
-    error = larger(error, errors->error[band]);
-  }
-  return error;
+  const bool known = radii.least_mm * sigma_t_prime >= core_error_edges_mfp[0] * (1 - SLACK) &&
+                     radii.most_mm * sigma_t_prime <= core_error_edges_mfp[BANDS] * (1 + SLACK);
+  return known ? largest(errors->error, BANDS, medium, radii) : (double)NAN;
 }
 
 enum {
@@ -114,15 +117,6 @@ double core_error_beyond(core_reach reach, double most_mm) {
   return exponent < 7 ? real_exp_signed(exponent) - 1 : (double)INFINITY;
 }
 
-/* Returns the band of numerical errors that a radius in mean free paths is in. */
-static size_t numerical_band(double mfp) {
-  size_t band = 0;
-  while (band + 1 < CORE_ERROR_BANDS && core_error_edges_mfp[band + 1] < mfp) {
-    band++;
-  }
-  return band;
-}
-
 double core_banded_error(const double errors[CORE_ERROR_BANDS + 1], double all,
                          const core_medium *medium, unsigned wanted, core_radii_range radii) {
   enum {
@@ -135,17 +129,8 @@ double core_banded_error(const double errors[CORE_ERROR_BANDS + 1], double all,
   if (!at_radii || (wanted & (LIKE_R | CORE_QUANTITY_LN_R)) == 0) {
     return errors[CORE_ERROR_BANDS];
   }
-  const double *edges = core_error_edges_mfp;
-  const double sigma_t_prime = core_sigma_t_prime(medium);
-  const double least = radii.least_mm * sigma_t_prime * (1 + SLACK);
-  const double most = radii.most_mm * sigma_t_prime * (1 - SLACK);
-  size_t band = numerical_band(least);
-  double error = (wanted & CORE_QUANTITY_ALBEDO) == 0 ? 0 : errors[CORE_ERROR_BANDS];
-  error = real_max(error, errors[band]);
-  while (band + 1 < CORE_ERROR_BANDS && edges[band + 1] < most) {
-    error = real_max(error, errors[++band]);
-  }
-  return error;
+  const double albedo = (wanted & CORE_QUANTITY_ALBEDO) != 0 ? errors[CORE_ERROR_BANDS] : 0;
+  return real_max(albedo, largest(errors, CORE_ERROR_BANDS, medium, radii));
 }
 
 /* The quantities whose numerical error grows beyond the reach. The cdf and albedo are not among
@@ -176,7 +161,7 @@ static bool is_too_near(const core_profile *profile, unsigned wanted, double r_m
 core_radii_range core_errors_alike(const core_profile *profile, double r_mm) {
   const double *edges = core_error_edges_mfp;
   const double mfp_mm = 1 / core_sigma_t_prime(&profile->medium);
-  const size_t band = numerical_band(r_mm / mfp_mm * (1 + SLACK));
+  const size_t band = band_of(r_mm / mfp_mm * (1 + SLACK), CORE_ERROR_BANDS);
   const double most = band + 1 < CORE_ERROR_BANDS ? edges[band + 1] * (1 - 2 * SLACK) : INFINITY;
   const double least = band > 0 ? edges[band] : CORE_RADIUS_SMALL_MFP;
   const core_radii_range alike = {real_max(least * mfp_mm, CORE_RADIUS_SMALL_MM),
