@@ -72,12 +72,10 @@ def test_their_order_counts_for_nothing(connection):
 
 
 def test_layers_are_from_the_top_down(client):
-    """A half space may be cut anywhere. Near the source R is that of the layer above."""
-    r, quick, dark = [0.3, 1.0, 3.0], {"tolerance": 0.1}, (0.5, *SKIN[1:])
+    """Near the source R is that of the layer above."""
+    r, dark = [0.3, 1.0, 3.0], (0.5, *SKIN[1:])
     whole = client.eval("transport", SKIN, r)
-    cut = client.eval("transport", [[(*SKIN, 1.5), (*SKIN, 0.0)]], r, parameters=quick)
-    assert abs(cut.R / whole.R - 1).max() < cut.numerical_error().max()
-    over = client.eval("transport", [[(*SKIN, 0.5), (*dark, 0.0)]], r, parameters=quick)
+    over = client.eval("transport", [[(*SKIN, 0.5), (*dark, 0.0)]], r, parameters={"tolerance": 0.1})
     shares = (over.R / whole.R)[0]
     assert shares[0] > 0.75 and shares[2] < 0.2
 
