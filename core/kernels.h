@@ -56,7 +56,7 @@ enum core_varying_argument { CORE_VARYING_RADII, CORE_VARYING_NUMBERS };
  * (core/cells/find.h). Values outside of the model's domain are NaN. core_varying_check_kernel sets
  * status[n] to the statuses (enum core_value_status) of n values, and *range; with numbers u, only the
  * albedos of *range have a meaning. core_varying_invert_kernel does what core_varying_invert() does;
- * `what` is as core_colour, and albedo is not NULL. core_varying_gradient_kernel sets ln R and its
+ * `what` is as core_colour. core_varying_gradient_kernel sets ln R and its
  * derivatives by ln sigma_a and ln sigma_s; in double precision only.
  *
  * An entry of core_kernels is NULL where core has one method for all models: core/evaluate.c makes S,

@@ -144,7 +144,7 @@ double core_varying_error(const core_varying *varying, unsigned wanted,
 void core_varying_eval(const core_varying *varying, enum core_quantity quantity, size_t n,
                        const void *sigma_a, const void *sigma_s, const void *r, void *out);
 
-/* The values of core_varying_gradient_f64(), each an array of n numbers, or NULL if not wanted. */
+/* The values of core_varying_gradient_f64(), each an array of n numbers. */
 typedef struct core_gradient {
   double *ln_R;
   double *by_ln_sigma_a; /* d ln R / d ln sigma_a at constant r and sigma_s */
@@ -184,7 +184,7 @@ core_fault core_colour_check(const core_varying *varying, const core_colour *wha
 
 /* Sets sigma_a[n] and sigma_s[n], in 1/mm, to the media of the colours (diffuse albedos) colour[n]
  * and lengths length_mm[n]. albedo[n] is set to sigma_s / (sigma_a + sigma_s), which a random walk
- * needs; it may be NULL. A colour that no medium has, or a length that leads out of the domain,
+ * needs. A colour that no medium has, or a length that leads out of the domain,
  * gets its status, and its results are NaN. */
 void core_varying_invert(const core_varying *varying, const core_colour *what, size_t n,
                          const void *colour, const void *length_mm, void *sigma_a, void *sigma_s,

@@ -172,6 +172,7 @@ static void invert(struct slice *slice, const varying_part *part, const varying_
   void *scattered = array_at(part, CORE_COEFFICIENT_SCATTERED, begin, bytes);
   sigma_a = sigma_a != NULL ? sigma_a : scratch->sigma_a;
   sigma_s = sigma_s != NULL ? sigma_s : scratch->sigma_s;
+  scattered = scattered != NULL ? scattered : scratch->truth; /* it is not used yet */
   core_varying_invert(slice->varying, &request->colour, slice->n, media[0], media[1], sigma_a,
                       sigma_s, scattered, scratch->status);
   slice->sigma_a = sigma_a;

@@ -338,20 +338,9 @@ DEFINE_EVALUATE(float, f32, words)
 void core_varying_gradient_f64(const core_varying *varying, size_t n, const double *sigma_a,
                                const double *sigma_s, const double *r, const core_gradient *out) {
   assert(varying->evaluator == CORE_EVALUATOR_F64);
-  core_varying_gradient_kernel_f64 *kernel = varying->kernels->f64->varying_gradient;
-  double found[3][CHUNK];
-  double *const wanted[3] = {out->ln_R, out->by_ln_sigma_a, out->by_ln_sigma_s};
-  for (size_t done = 0; done < n; done += CHUNK) {
-    const size_t count = n - done < CHUNK ? n - done : CHUNK;
-    const double *a = sigma_a + done, *s = sigma_s + done, *radii = r + done;
-    kernel(varying->shared.f64, varying->wide_words, count, a, s, radii, found[0], found[1],
-           found[2]);
-    for (int i = 0; i < 3; i++) {
-      if (wanted[i] != NULL) {
-        memcpy(wanted[i] + done, found[i], count * sizeof **found);
-      }
-    }
-  }
+  varying->kernels->f64->varying_gradient(varying->shared.f64, varying->wide_words, n, sigma_a,
+                                          sigma_s, r, out->ln_R, out->by_ln_sigma_a,
+                                          out->by_ln_sigma_s);
 }
 
 /* Evaluates in double precision and rounds. A cdf below 1 stays below 1. */
@@ -411,30 +400,16 @@ core_fault core_colour_check(const core_varying *varying, const core_colour *wha
   return (core_fault){0};
 }
 
-#define DEFINE_INVERT(type, bits, table)                                                           \
-  static void invert_##bits(const core_varying *varying, const core_colour *what, size_t n,        \
-                            const type *colour, const type *length_mm, type *sigma_a,              \
-                            type *sigma_s, type *albedo, uint8_t *status) {                        \
-    type unwanted[CHUNK];                                                                          \
-    for (size_t done = 0; done < n; done += CHUNK) {                                               \
-      const size_t count = n - done < CHUNK ? n - done : CHUNK;                                    \
-      varying->check_kernels->bits->varying_invert(                                                \
-          varying->shared.bits, varying->table, what, count, colour + done, length_mm + done,      \
-          sigma_a + done, sigma_s + done, albedo != NULL ? albedo + done : unwanted,               \
-          status + done);                                                                          \
-    }                                                                                              \
-  }
-
-DEFINE_INVERT(double, f64, wide_words)
-DEFINE_INVERT(float, f32, words)
-
 void core_varying_invert(const core_varying *varying, const core_colour *what, size_t n,
                          const void *colour, const void *length_mm, void *sigma_a, void *sigma_s,
                          void *albedo, uint8_t *status) {
   assert(core_colour_check(varying, what).field == NULL);
+  const struct core_kernels *kernels = varying->check_kernels;
   if (varying->evaluator == CORE_EVALUATOR_F64) {
-    invert_f64(varying, what, n, colour, length_mm, sigma_a, sigma_s, albedo, status);
+    kernels->f64->varying_invert(varying->shared.f64, varying->wide_words, what, n, colour,
+                                 length_mm, sigma_a, sigma_s, albedo, status);
   } else {
-    invert_f32(varying, what, n, colour, length_mm, sigma_a, sigma_s, albedo, status);
+    kernels->f32->varying_invert(varying->shared.f32, varying->words, what, n, colour, length_mm,
+                                 sigma_a, sigma_s, albedo, status);
   }
 }

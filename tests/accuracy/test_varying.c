@@ -605,11 +605,12 @@ UNIT_TEST(derivatives_are_those_of_ln_R) {
     core_varying varying = prepare(models[m], CORE_EVALUATOR_F64, 0.4, 1.4, NULL);
     for (int i = 0; i < 300; i++) {
       const struct value value = random_value(&random, 0.4, 50);
-      double ln_R[3], by[2];
+      double ln_R[3], by[2], other[2];
       for (int k = -1; k <= 1; k++) {
         /* Along sigma_a = sigma_a0 e^t, sigma_s = sigma_s0 e^(-2 t). */
         const double t = 1e-6 * k, a = value.sigma_a * (1 + t), s = value.sigma_s * (1 - 2 * t);
-        const core_gradient out = {&ln_R[k + 1], k == 0 ? &by[0] : NULL, k == 0 ? &by[1] : NULL};
+        double *const to = k == 0 ? by : other;
+        const core_gradient out = {&ln_R[k + 1], &to[0], &to[1]};
         core_varying_gradient_f64(&varying, 1, &a, &s, &value.r, &out);
       }
       struct value same = value;
