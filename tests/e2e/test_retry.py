@@ -264,6 +264,16 @@ def test_deadlines_go_on_while_nobody_is_there(restarted, what):
         assert client.eval("better", SKIN, [1.0]).R > 0
 
 
+def test_what_has_been_answered_is_not_asked_again(shared):
+    with dipole.Client(shared.url()) as client:
+        before = client.statistics()["requests_eval"]
+        first = client.submit("better", SKIN, [1.0])
+        client.eval("better", SKIN, [2.0])  # its answer comes behind
+        client._session.connection.socket.shutdown(2)
+        client.ping()
+        assert client.collect(first)[1].R > 0 and client.statistics()["requests_eval"] == before + 2
+
+
 def test_nobody_comes_back(daemon):
     one = daemon()
     with dipole.Client(one.url(), retry_s=0.2) as client:

@@ -133,6 +133,15 @@ void peer_be_silent(int fd, void *context) {
   peer_accept_only(fd, context);
 }
 
+void peer_stay_busy(int fd, void *context) {
+  peer_frame request;
+  peer_say_hello_or_abort(fd);
+  while (peer_receive(fd, &request)) {
+    peer_send_error(fd, request.header.request_id, WIRE_STATUS_BUSY, *(const uint32_t *)context);
+    free(request.payload);
+  }
+}
+
 void peer_answer_seven(int fd, void *context) {
   (void)context;
   peer_say_hello_or_abort(fd);
@@ -190,31 +199,27 @@ dipole_client *peer_open(const char *address, const dipole_options *options) {
   return client;
 }
 
-dipole_client *peer_open_once(const scripted_peer *peer) {
+scripted_peer peer_of_test;
+
+dipole_client *peer_begin(peer_script *script, void *context) {
   dipole_options options = peer_options();
   options.retry_ms = 0;
-  return peer_open(peer->address, &options);
+  return peer_begin_with(script, context, &options);
 }
 
-dipole_client *peer_begin(scripted_peer *peer, peer_script *script, void *context) {
-  peer_start(peer, script, context);
-  return peer_open_once(peer);
+dipole_client *peer_begin_with(peer_script *script, void *context, const dipole_options *options) {
+  peer_start(&peer_of_test, script, context);
+  return peer_open(peer_of_test.address, options);
 }
 
-dipole_client *peer_begin_with(scripted_peer *peer, peer_script *script, void *context,
-                               const dipole_options *options) {
-  peer_start(peer, script, context);
-  return peer_open(peer->address, options);
+dipole_client *peer_begin_scripts(peer_script *const *scripts, void *context) {
+  peer_start_scripts(&peer_of_test, scripts, context);
+  return peer_open(peer_of_test.address, NULL);
 }
 
-dipole_client *peer_begin_scripts(scripted_peer *peer, peer_script *const *scripts, void *context) {
-  peer_start_scripts(peer, scripts, context);
-  return peer_open(peer->address, NULL);
-}
-
-void peer_finish(scripted_peer *peer, dipole_client *client) {
+void peer_finish(dipole_client *client) {
   dipole_close(client);
-  peer_end(peer);
+  peer_end(&peer_of_test);
 }
 
 void peer_expect(bool good, const dipole_error *error) {

@@ -41,21 +41,20 @@ dipole_options peer_options(void);
  */
 dipole_client *peer_open(const char *address, const dipole_options *options);
 
-/* Opens a client without retries, so that the test sees each failure. */
-dipole_client *peer_open_once(const scripted_peer *peer);
+/* The peer of a test that has one. The next three functions start it and open a client. */
+extern scripted_peer peer_of_test;
 
-/* Starts a peer and opens a client without retries. */
-dipole_client *peer_begin(scripted_peer *peer, peer_script *script, void *context);
+/* Without retries, so that the test sees each failure. */
+dipole_client *peer_begin(peer_script *script, void *context);
 
-/* Starts a peer and opens a client with options like peer_open(). */
-dipole_client *peer_begin_with(scripted_peer *peer, peer_script *script, void *context,
-                               const dipole_options *options);
+/* With options like peer_open(). */
+dipole_client *peer_begin_with(peer_script *script, void *context, const dipole_options *options);
 
-/* Starts a peer with one script for each connection and opens a client with retries. */
-dipole_client *peer_begin_scripts(scripted_peer *peer, peer_script *const *scripts, void *context);
+/* With one script for each connection, and retries. */
+dipole_client *peer_begin_scripts(peer_script *const *scripts, void *context);
 
 /* Closes the client and waits for the peer's script to end. */
-void peer_finish(scripted_peer *peer, dipole_client *client);
+void peer_finish(dipole_client *client);
 
 /* Fails the test with the error's text unless a call was good. */
 void peer_expect(bool good, const dipole_error *error);
@@ -103,8 +102,9 @@ void peer_check_each(dipole_client *client, uint64_t count);
  * peer_be_silent() answers only hello. */
 peer_script peer_accept_only, peer_be_silent;
 
-/* A script that answers seven requests. */
-peer_script peer_answer_seven;
+/* Scripts: one refuses every request with BUSY for as long as the uint32_t *context says, in ms; one
+ * answers seven requests. */
+peer_script peer_stay_busy, peer_answer_seven;
 
 /* A script that aborts. Use it for a connection that must not be made. */
 peer_script peer_must_not_come;

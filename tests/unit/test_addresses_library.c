@@ -83,19 +83,19 @@ UNIT_TEST(test_wrong_lists) {
 
 UNIT_TEST(test_one_that_does_not_say_hello) {
   dipole_options options = peer_options();
-  scripted_peer mute, peer;
+  scripted_peer mute;
   options.connect_timeout_ms = 500;
   options.retry_ms = 0;
   peer_start(&mute, peer_accept_only, NULL);
-  peer_start(&peer, peer_serve, NULL);
-  const char *const addresses[] = {mute.address, peer.address};
+  peer_start(&peer_of_test, peer_serve, NULL);
+  const char *const addresses[] = {mute.address, peer_of_test.address};
   char *list = peer_list(addresses, 2);
   const int64_t start_ms = peer_now_ms();
   dipole_client *client = peer_open(list, &options);
   assert_true(peer_now_ms() - start_ms >= 500);
   peer_check_eval(client, 5);
   peer_end(&mute);
-  peer_finish(&peer, client);
+  peer_finish(client);
   free(list);
 }
 
@@ -103,13 +103,12 @@ UNIT_TEST(test_opening_again_and_again) {
   peer_script *const scripts[] = {peer_be_full, peer_hang_up_at_once, peer_be_full, peer_serve,
                                   NULL};
   dipole_options options = peer_options();
-  scripted_peer peer;
-  peer_start_scripts(&peer, scripts, NULL);
+  peer_start_scripts(&peer_of_test, scripts, NULL);
   const int64_t start_ms = peer_now_ms();
-  dipole_client *client = peer_open(peer.address, &options);
+  dipole_client *client = peer_open(peer_of_test.address, &options);
   assert_true(peer_now_ms() - start_ms >= 60); /* twice retry_after_ms of 30 ms */
   peer_check_eval(client, 5);
-  peer_finish(&peer, client);
+  peer_finish(client);
 }
 
 static void count_and_serve(int fd, void *context) {

@@ -63,10 +63,9 @@ static void assert_single_values(const dipole_result *result) {
 
 static void run_choice(unsigned model, unsigned evaluator, choice_script script, bool expected) {
   const dipole_query query = query_of(model, evaluator);
-  scripted_peer peer;
   dipole_result *result = NULL;
   dipole_error error = {0};
-  dipole_client *client = peer_begin(&peer, answer_with_choice, &script);
+  dipole_client *client = peer_begin(answer_with_choice, &script);
   assert_int_equal(dipole_eval(client, &query, &result, &error), expected);
   assert_int_equal(dipole_ping(client, NULL), expected);
   assert_int_equal(error.kind, expected ? DIPOLE_ERROR_NONE : DIPOLE_ERROR_PROTOCOL);
@@ -81,7 +80,7 @@ static void run_choice(unsigned model, unsigned evaluator, choice_script script,
     assert_null(dipole_values_f32(result, 0, DIPOLE_R));
   }
   dipole_result_free(result);
-  peer_finish(&peer, client);
+  peer_finish(client);
 }
 
 UNIT_TEST(any_model_is_answered_by_an_evaluator_of_the_type) {

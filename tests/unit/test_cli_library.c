@@ -42,10 +42,9 @@ static void check_simple_result(dipole_result *result) {
 }
 
 UNIT_TEST(test_eval) {
-  scripted_peer peer;
-  dipole_client *client = peer_begin(&peer, peer_serve, NULL);
+  dipole_client *client = peer_begin(peer_serve, NULL);
   const dipole_info *info = dipole_get_info(client);
-  assert_string_equal(info->address, peer.address);
+  assert_string_equal(info->address, peer_of_test.address);
   /* Control characters were replaced. */
   assert_string_equal(info->software, "scripted?[31m");
   assert_string_equal(info->instruction_set, "avx?2");
@@ -54,7 +53,7 @@ UNIT_TEST(test_eval) {
   assert_int_equal(dipole_id(client, DIPOLE_MODEL, "better"), 2);
   assert_int_equal(dipole_id(client, DIPOLE_MODEL, "bad-value"), 0);
   check_simple_result(peer_eval(client, &simple_query));
-  peer_finish(&peer, client);
+  peer_finish(client);
 }
 
 /* The request lists parameters and then five floats, which need padding. */
@@ -62,7 +61,6 @@ UNIT_TEST(test_parameters_and_notes) {
   static const float r[5] = {1, 2, 3, 4, 5};
   static const dipole_parameter parameters[2] = {{CORE_PARAMETER_COS_OUT, 0.25},
                                                  {CORE_PARAMETER_COS_IN, 0.75}};
-  scripted_peer peer;
   dipole_error error;
   dipole_result *result;
   dipole_query query = simple_query;
@@ -72,7 +70,7 @@ UNIT_TEST(test_parameters_and_notes) {
   query.radius_count = 5;
   query.parameters = parameters;
   query.parameter_count = 2;
-  dipole_client *client = peer_begin(&peer, peer_serve, NULL);
+  dipole_client *client = peer_begin(peer_serve, NULL);
   assert_true(dipole_eval(client, &query, &result, &error));
   assert_int_equal(result->notes, 2);
   for (uint32_t i = 0; i < 2; i++) {
@@ -86,7 +84,7 @@ UNIT_TEST(test_parameters_and_notes) {
   assert_int_equal(result->notes, 0);
   assert_true(isnan(result->channels[0].model_error));
   dipole_result_free(result);
-  peer_finish(&peer, client);
+  peer_finish(client);
 }
 
 /* ---- refusals ------------------------------------------------------------------------------ */
@@ -127,10 +125,9 @@ UNIT_TEST(test_refusals_say_what_is_allowed) {
       "busy: the daemon is at its limit; try again later (in 7 ms)",
       "busy: the daemon is at its limit; try again later (in 7 ms): max_mc_jobs: allowed: 0 to "
       "1e15"};
-  scripted_peer peer;
   dipole_error error;
   dipole_result *result;
-  dipole_client *client = peer_begin(&peer, refuse, NULL);
+  dipole_client *client = peer_begin(refuse, NULL);
   for (size_t i = 0; i < REFUSALS; i++) {
     assert_false(dipole_eval(client, &simple_query, &result, &error));
     assert_int_equal(error.kind, DIPOLE_ERROR_REFUSED);
@@ -140,22 +137,21 @@ UNIT_TEST(test_refusals_say_what_is_allowed) {
     assert_int_equal(error.retry_after_ms, i < 3 ? 0 : 7);
   }
   check_simple_result(peer_eval(client, &simple_query));
-  peer_finish(&peer, client);
+  peer_finish(client);
 }
 
 UNIT_TEST(test_busy_at_connecting) {
-  scripted_peer peer;
   dipole_client *client;
   dipole_error error;
-  peer_start(&peer, peer_be_full, NULL);
+  peer_start(&peer_of_test, peer_be_full, NULL);
   dipole_options options = peer_options();
   options.retry_ms = 0;
-  assert_false(dipole_open_with(peer.address, &options, &client, &error));
+  assert_false(dipole_open_with(peer_of_test.address, &options, &client, &error));
   assert_null(client);
   assert_int_equal(error.kind, DIPOLE_ERROR_REFUSED);
   assert_int_equal(error.status, WIRE_STATUS_BUSY);
   assert_int_equal(error.retry_after_ms, 30);
-  peer_end(&peer);
+  peer_end(&peer_of_test);
 }
 
 /* ---- lies ---------------------------------------------------------------------------------- */
@@ -197,10 +193,9 @@ UNIT_TEST(test_lies_are_noticed) {
       {"a payload that is not padded", 16, 4, 3},
   };
   for (size_t i = 0; i < sizeof lies / sizeof lies[0]; i++) {
-    scripted_peer peer;
     dipole_error error;
     dipole_result *result;
-    dipole_client *client = peer_begin(&peer, tell_lie, &lies[i]);
+    dipole_client *client = peer_begin(tell_lie, &lies[i]);
     for (int again = 0; again < 2; again++) { /* The client stays broken after the first error. */
       if (dipole_eval(client, &simple_query, &result, &error)) {
         fail_msg("not noticed: %s", lies[i].what);
@@ -209,7 +204,7 @@ UNIT_TEST(test_lies_are_noticed) {
         fail_msg("%s: %s", lies[i].what, error.text);
       }
     }
-    peer_finish(&peer, client);
+    peer_finish(client);
   }
 }
 
@@ -227,10 +222,9 @@ UNIT_TEST(test_lies_are_noticed) {
   } while (false)
 
 UNIT_TEST(test_arguments) {
-  scripted_peer peer;
   dipole_error error;
   dipole_result *result;
-  dipole_client *client = peer_begin(&peer, peer_serve, NULL);
+  dipole_client *client = peer_begin(peer_serve, NULL);
   static const dipole_parameter beyond = {65536 + CORE_PARAMETER_COS_IN, 0.5};
   const dipole_parameter misspelt = {dipole_id(client, DIPOLE_PARAMETER, "tolerence"), 0.01};
 #define EVAL(field, value)                                                                         \
@@ -312,7 +306,7 @@ UNIT_TEST(test_arguments) {
   INVERT(medium_count, UINT64_MAX);
 #undef INVERT
   check_simple_result(peer_eval(client, &simple_query)); /* The client sent none of the above. */
-  peer_finish(&peer, client);
+  peer_finish(client);
   dipole_close(NULL);
   dipole_result_free(NULL);
   dipole_inversion_free(NULL);

@@ -150,20 +150,18 @@ static void ask_all(dipole_client *client) {
 }
 
 UNIT_TEST(test_every_shape) {
-  scripted_peer peer;
-  dipole_client *client = peer_begin_with(&peer, peer_serve, NULL, NULL);
+  dipole_client *client = peer_begin_with(peer_serve, NULL, NULL);
   ask_all(client);
-  peer_finish(&peer, client);
+  peer_finish(client);
 }
 
 UNIT_TEST(test_parts) {
   static const uint64_t sizes[] = {1, 3, 64};
   for (size_t i = 0; i < sizeof sizes / sizeof sizes[0]; i++) {
     uint64_t each = sizes[i];
-    scripted_peer peer;
-    dipole_client *client = peer_begin_with(&peer, peer_serve_parts, &each, NULL);
+    dipole_client *client = peer_begin_with(peer_serve_parts, &each, NULL);
     ask_all(client);
-    peer_finish(&peer, client);
+    peer_finish(client);
   }
 }
 
@@ -171,9 +169,8 @@ UNIT_TEST(test_many_in_any_order) {
   enum { MANY = 30 };
   question asked[MANY];
   uint64_t ids[MANY];
-  scripted_peer peer;
   dipole_error error;
-  dipole_client *client = peer_begin_with(&peer, peer_serve, NULL, NULL);
+  dipole_client *client = peer_begin_with(peer_serve, NULL, NULL);
   for (size_t i = 0; i < MANY; i++) {
     asked[i] = question_of(i % 2 != 0 ? DIPOLE_F32 : DIPOLE_F64, wanted_sets[i % WANTED_SETS], i);
     assert_true(dipole_submit(client, &asked[i].query, &ids[i], &error));
@@ -185,7 +182,7 @@ UNIT_TEST(test_many_in_any_order) {
     check_result(&asked[i], result);
     end_question(&asked[i]);
   }
-  peer_finish(&peer, client);
+  peer_finish(client);
 }
 
 /* Requests and answers are far larger than the buffers of sockets, and the client collects nothing
@@ -195,14 +192,13 @@ UNIT_TEST(test_large_ones_both_ways) {
   double *radii = malloc(LARGE * sizeof *radii);
   room places[MANY];
   uint64_t ids[MANY];
-  scripted_peer peer;
   dipole_result *result;
   dipole_error error;
   assert_non_null(radii);
   for (size_t i = 0; i < LARGE; i++) {
     radii[i] = (double)i;
   }
-  dipole_client *client = peer_begin_with(&peer, peer_serve, NULL, NULL);
+  dipole_client *client = peer_begin_with(peer_serve, NULL, NULL);
   for (size_t k = 0; k < MANY; k++) {
     const size_t count = LARGE - k;
     places[k] = room_for(count * sizeof *radii);
@@ -227,17 +223,16 @@ UNIT_TEST(test_large_ones_both_ways) {
     dipole_result_free(result);
     end_room(&places[k]);
   }
-  peer_finish(&peer, client);
+  peer_finish(client);
   free(radii);
 }
 
 /* ---- what goes wrong ----------------------------------------------------------------------- */
 
 UNIT_TEST(test_a_place_for_all_or_for_nothing) {
-  scripted_peer peer;
   dipole_result *result;
   dipole_error error;
-  dipole_client *client = peer_begin_with(&peer, peer_serve, NULL, NULL);
+  dipole_client *client = peer_begin_with(peer_serve, NULL, NULL);
   question asked = question_of(DIPOLE_F64, all, 5);
   dipole_query no_values = asked.query, no_radii = asked.query;
   no_values.into_values = NULL;
@@ -248,7 +243,7 @@ UNIT_TEST(test_a_place_for_all_or_for_nothing) {
   assert_int_equal(error.kind, DIPOLE_ERROR_ARGUMENT);
   end_question(&asked);
   ask(client, DIPOLE_F64, all, 5);
-  peer_finish(&peer, client);
+  peer_finish(client);
 }
 
 /* A script that sends the answer except for its last *context bytes. */
@@ -269,12 +264,10 @@ UNIT_TEST(test_lost_and_asked_again) {
   peer_script *const scripts[] = {hang_up_before_the_end, peer_serve, NULL};
   for (size_t i = 0; i < sizeof before_the_end / sizeof before_the_end[0]; i++) {
     size_t before = before_the_end[i];
-    scripted_peer peer;
-    peer_start_scripts(&peer, scripts, &before);
-    dipole_client *client = peer_open(peer.address, NULL);
+    dipole_client *client = peer_begin_scripts(scripts, &before);
     ask(client, i % 2 != 0 ? DIPOLE_F32 : DIPOLE_F64, all, 101);
     ask(client, DIPOLE_F64, all, 9);
-    peer_finish(&peer, client);
+    peer_finish(client);
   }
 }
 
@@ -292,17 +285,16 @@ static void refuse(int fd, void *context) {
 }
 
 UNIT_TEST(test_refused) {
-  scripted_peer peer;
   dipole_result *result;
   dipole_error error;
-  dipole_client *client = peer_begin_with(&peer, refuse, NULL, NULL);
+  dipole_client *client = peer_begin_with(refuse, NULL, NULL);
   question asked = question_of(DIPOLE_F64, all, 5);
   assert_false(dipole_eval(client, &asked.query, &result, &error));
   assert_int_equal(error.kind, DIPOLE_ERROR_REFUSED);
   check_untouched(inside(&asked.values), asked.values.count);
   end_question(&asked);
   ask(client, DIPOLE_F64, all, 5);
-  peer_finish(&peer, client);
+  peer_finish(client);
 }
 
 /* A script that sends *context bytes of the first answer, waits for the second request, and then
@@ -330,10 +322,9 @@ UNIT_TEST(test_given_up) {
   static const size_t sent[] = {0, 1, 30, 200, 300, 304, 1000, 2000, 4000, 100000};
   for (size_t i = 0; i < sizeof sent / sizeof sent[0]; i++) {
     size_t bytes = sent[i];
-    scripted_peer peer;
     dipole_result *result;
     dipole_error error;
-    dipole_client *client = peer_begin_with(&peer, pause_in_the_answer, &bytes, NULL);
+    dipole_client *client = peer_begin_with(pause_in_the_answer, &bytes, NULL);
     question asked = question_of(i % 2 != 0 ? DIPOLE_F32 : DIPOLE_F64, all, 101);
     dipole_set_call_timeout_ms(client, 20);
     const bool answered = dipole_eval(client, &asked.query, &result, &error);
@@ -349,7 +340,7 @@ UNIT_TEST(test_given_up) {
     check_untouched(inside(&asked.values), asked.values.count);
     check_untouched(inside(&asked.radii), asked.radii.count);
     end_question(&asked);
-    peer_finish(&peer, client);
+    peer_finish(client);
   }
 }
 
@@ -369,15 +360,14 @@ static void lie(int fd, void *context) {
 UNIT_TEST(test_lies_are_not_written) {
   for (unsigned i = 0; i < 2; i++) {
     bool parts = i != 0;
-    scripted_peer peer;
     dipole_result *result;
     dipole_error error;
-    dipole_client *client = peer_begin_with(&peer, lie, &parts, NULL);
+    dipole_client *client = peer_begin_with(lie, &parts, NULL);
     question asked = question_of(DIPOLE_F64, DIPOLE_R, parts ? 9 : 7);
     assert_false(dipole_eval(client, &asked.query, &result, &error));
     assert_int_equal(error.kind, DIPOLE_ERROR_PROTOCOL);
     check_untouched(inside(&asked.values), asked.values.count);
     end_question(&asked);
-    peer_finish(&peer, client);
+    peer_finish(client);
   }
 }

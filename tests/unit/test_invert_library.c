@@ -111,10 +111,9 @@ static void assert_inversion(const dipole_inversion *inversion, uint64_t missing
 /* Runs a script. expected: whether the call must succeed; else it must fail with kind PROTOCOL. */
 static void run_invert(invert_script script, bool expected, uint64_t missing) {
   const dipole_invert_query query = invert_query();
-  scripted_peer peer;
   dipole_inversion *inversion = NULL;
   dipole_error error = {0};
-  dipole_client *client = peer_begin(&peer, invert, &script);
+  dipole_client *client = peer_begin(invert, &script);
   dipole_set_retry_ms(client, 0);
   assert_int_equal(dipole_invert(client, &query, &inversion, &error), expected);
   assert_int_equal(dipole_ping(client, NULL), expected);
@@ -125,7 +124,7 @@ static void run_invert(invert_script script, bool expected, uint64_t missing) {
     assert_null(inversion);
   }
   dipole_inversion_free(inversion);
-  peer_finish(&peer, client);
+  peer_finish(client);
 }
 
 UNIT_TEST(inversions_of_any_number_of_parts_are_put_together) {

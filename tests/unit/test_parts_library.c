@@ -74,28 +74,26 @@ static bool read_part(void *context, const dipole_result *part, uint64_t radius_
 UNIT_TEST(test_parts_are_handed_on) {
   for (size_t i = 0; i < sizeof sizes / sizeof sizes[0]; i++) {
     const dipole_query query = query_of(DIPOLE_F32, wanted_f32, PEER_RADII);
-    scripted_peer peer;
     dipole_error error;
     reading so_far = {0};
-    dipole_client *client = peer_begin(&peer, peer_serve_parts, (void *)&sizes[i]);
+    dipole_client *client = peer_begin(peer_serve_parts, (void *)&sizes[i]);
     peer_expect(dipole_eval_parts(client, &query, read_part, &so_far, &error), &error);
     assert_int_equal(so_far.next, PEER_RADII);
     assert_int_equal(so_far.parts, parts_of(PEER_RADII, sizes[i]));
-    peer_finish(&peer, client);
+    peer_finish(client);
   }
 }
 
 /* An answer without radii has one part. */
 UNIT_TEST(test_nothing_is_handed_on) {
-  scripted_peer peer;
   dipole_error error;
   reading so_far = {0};
   const dipole_query query = query_of(DIPOLE_F64, DIPOLE_ALBEDO, 0);
-  dipole_client *client = peer_begin(&peer, peer_serve, NULL);
+  dipole_client *client = peer_begin(peer_serve, NULL);
   assert_true(dipole_eval_parts(client, &query, read_part, &so_far, &error));
   assert_int_equal(so_far.parts, 1);
   assert_int_equal(so_far.next, 0);
-  peer_finish(&peer, client);
+  peer_finish(client);
 }
 
 /* ---- other answers in between -------------------------------------------------------------- */
@@ -123,13 +121,12 @@ static void mix(int fd, void *context) {
 }
 
 static void ask_for_a_mix(bool handed_on) {
-  scripted_peer peer;
   dipole_error error;
   dipole_result *result;
   reading so_far = {0};
   uint64_t ids[2], id;
   const dipole_query query = query_of(DIPOLE_F64, wanted_f64, PEER_RADII);
-  dipole_client *client = peer_begin(&peer, mix, NULL);
+  dipole_client *client = peer_begin(mix, NULL);
   assert_true(dipole_submit(client, &query, &ids[0], &error));
   assert_true(dipole_submit(client, &query, &ids[1], &error));
   if (handed_on) {
@@ -150,7 +147,7 @@ static void ask_for_a_mix(bool handed_on) {
   }
   assert_false(dipole_collect(client, &id, &result, &error));
   assert_int_equal(error.kind, DIPOLE_ERROR_ARGUMENT);
-  peer_finish(&peer, client);
+  peer_finish(client);
 }
 
 UNIT_TEST(test_other_answers_may_come_in_between) {
@@ -180,12 +177,11 @@ static void be_late(int fd, void *context) {
 }
 
 UNIT_TEST(test_an_error_ends_an_answer) {
-  scripted_peer peer;
   dipole_error error;
   dipole_result *result;
   reading so_far = {0};
   dipole_query query = query_of(DIPOLE_F64, wanted_f64, PEER_RADII);
-  dipole_client *client = peer_begin(&peer, be_late, NULL);
+  dipole_client *client = peer_begin(be_late, NULL);
   query.deadline_ms = 250;
   assert_false(dipole_eval(client, &query, &result, &error));
   assert_int_equal(error.kind, DIPOLE_ERROR_REFUSED);
@@ -198,18 +194,17 @@ UNIT_TEST(test_an_error_ends_an_answer) {
   assert_true(dipole_eval(client, &query, &result, &error)); /* The client goes on working. */
   check_values(result, 0);
   dipole_result_free(result);
-  peer_finish(&peer, client);
+  peer_finish(client);
 }
 
 /* The reader stops after 1, 2, ... parts; the client's next query is then answered correctly. */
 UNIT_TEST(test_a_reader_may_stop) {
   static const uint64_t each = EACH;
   const dipole_query query = query_of(DIPOLE_F64, wanted_f64, PEER_RADII);
-  scripted_peer peer;
   dipole_error error;
   dipole_result *result;
   uint64_t id;
-  dipole_client *client = peer_begin(&peer, peer_serve_parts, (void *)&each);
+  dipole_client *client = peer_begin(peer_serve_parts, (void *)&each);
   for (unsigned stop_after = 1; stop_after <= parts_of(PEER_RADII, EACH); stop_after++) {
     reading so_far = {.stop_after = stop_after};
     assert_false(dipole_eval_parts(client, &query, read_part, &so_far, &error));
@@ -225,7 +220,7 @@ UNIT_TEST(test_a_reader_may_stop) {
   }
   reading so_far = {.stop_after = 1};
   assert_false(dipole_eval_parts(client, &query, read_part, &so_far, &error));
-  peer_finish(&peer, client);
+  peer_finish(client);
 }
 
 static jmp_buf left;
@@ -247,15 +242,14 @@ static bool use_client(void *context, const dipole_result *part, uint64_t radius
 static void break_rules(bool (*reader)(void *, const dipole_result *, uint64_t)) {
   static const uint64_t each = EACH;
   const dipole_query query = query_of(DIPOLE_F64, wanted_f64, PEER_RADII);
-  scripted_peer peer;
   dipole_error error;
-  dipole_client *client = peer_begin(&peer, peer_serve_parts, (void *)&each);
+  dipole_client *client = peer_begin(peer_serve_parts, (void *)&each);
   if (setjmp(left) == 0) {
     dipole_eval_parts(client, &query, reader, client, &error);
   }
   assert_false(dipole_ping(client, &error));
   assert_int_equal(error.kind, DIPOLE_ERROR_CONNECTION);
-  peer_finish(&peer, client);
+  peer_finish(client);
 }
 
 UNIT_TEST(test_a_reader_that_uses_the_client) {
@@ -293,15 +287,14 @@ static bool count_positions(void *context, const dipole_result *part, uint64_t r
 }
 
 UNIT_TEST(test_answers_beyond_memory) {
-  scripted_peer peer;
   dipole_error error;
   uint64_t next = 0;
   dipole_query query = query_of(DIPOLE_F64, wanted_f64 | DIPOLE_RADIUS, UINT64_C(1) << 40);
   query.spacing = DIPOLE_LINEAR;
   query.radius_stop_mm = 1;
-  dipole_client *client = peer_begin(&peer, begin_something_huge, NULL);
+  dipole_client *client = peer_begin(begin_something_huge, NULL);
   assert_false(dipole_eval_parts(client, &query, count_positions, &next, &error));
   assert_int_equal(error.kind, DIPOLE_ERROR_REFUSED);
   assert_int_equal(next, 256);
-  peer_finish(&peer, client);
+  peer_finish(client);
 }

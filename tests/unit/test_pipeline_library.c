@@ -29,8 +29,7 @@ static void fail_collect_id(dipole_client *client, uint64_t id, enum dipole_erro
 
 UNIT_TEST(test_by_id_in_any_order) {
   uint64_t ids[QUERIES];
-  scripted_peer peer;
-  dipole_client *client = peer_begin_with(&peer, peer_serve, NULL, NULL);
+  dipole_client *client = peer_begin_with(peer_serve, NULL, NULL);
   for (uint64_t i = 0; i < QUERIES; i++) {
     ids[i] = peer_submit(client, i + 1);
   }
@@ -44,16 +43,15 @@ UNIT_TEST(test_by_id_in_any_order) {
   fail_collect_id(client, 0, DIPOLE_ERROR_ARGUMENT);
   fail_collect_id(client, UINT64_MAX, DIPOLE_ERROR_ARGUMENT);
   peer_check_eval(client, 7);
-  peer_finish(&peer, client);
+  peer_finish(client);
 }
 
 /* The client collects alternately by id and in the order of arrival. */
 UNIT_TEST(test_both_ways) {
   uint64_t ids[QUERIES];
-  scripted_peer peer;
   dipole_result *result;
   dipole_error error;
-  dipole_client *client = peer_begin_with(&peer, peer_serve, NULL, NULL);
+  dipole_client *client = peer_begin_with(peer_serve, NULL, NULL);
   for (uint64_t i = 0; i < QUERIES; i++) {
     ids[i] = peer_submit(client, i + 1);
   }
@@ -64,7 +62,7 @@ UNIT_TEST(test_both_ways) {
     assert_true(id == ids[QUERIES - last]); /* The peer answers in order. */
     peer_check_result(result, QUERIES - last + 1);
   }
-  peer_finish(&peer, client);
+  peer_finish(client);
 }
 
 /* ---- limits -------------------------------------------------------------------------------- */
@@ -73,10 +71,9 @@ UNIT_TEST(test_no_more_than_may_be_outstanding) {
   enum { MOST = 3 };
   dipole_options options = peer_options();
   uint64_t ids[MOST], id = 0;
-  scripted_peer peer;
   dipole_error error;
   options.in_flight_max = MOST;
-  dipole_client *client = peer_begin_with(&peer, peer_serve, NULL, &options);
+  dipole_client *client = peer_begin_with(peer_serve, NULL, &options);
   for (uint64_t i = 0; i < MOST; i++) {
     ids[i] = peer_submit(client, i + 1);
   }
@@ -92,15 +89,14 @@ UNIT_TEST(test_no_more_than_may_be_outstanding) {
   collect_id(client, next, 9);
   collect_id(client, ids[2], 3);
   collect_id(client, ids[0], 1);
-  peer_finish(&peer, client);
+  peer_finish(client);
 }
 
 UNIT_TEST(test_as_many_as_one_likes) {
   enum { MANY = DIPOLE_IN_FLIGHT_MAX + 100 };
   dipole_options options = peer_options();
-  scripted_peer peer;
   options.in_flight_max = 0;
-  dipole_client *client = peer_begin_with(&peer, peer_serve, NULL, &options);
+  dipole_client *client = peer_begin_with(peer_serve, NULL, &options);
   const uint64_t first = peer_submit(client, 1);
   for (unsigned i = 1; i < MANY; i++) {
     assert_true(peer_submit(client, 1 + i % 64) == first + i);
@@ -108,7 +104,7 @@ UNIT_TEST(test_as_many_as_one_likes) {
   for (unsigned i = MANY; i > 0; i--) {
     collect_id(client, first + i - 1, 1 + (i - 1) % 64);
   }
-  peer_finish(&peer, client);
+  peer_finish(client);
 }
 
 /* ---- sent at once -------------------------------------------------------------------------- */
@@ -131,16 +127,15 @@ static void note_burst(int fd, void *context) {
 
 UNIT_TEST(test_flush) {
   int pipe_ends[2];
-  scripted_peer peer;
   char byte;
   assert_int_equal(pipe(pipe_ends), 0);
-  dipole_client *client = peer_begin_with(&peer, note_burst, pipe_ends, NULL);
+  dipole_client *client = peer_begin_with(note_burst, pipe_ends, NULL);
   for (unsigned i = 0; i < BURST; i++) {
     peer_submit(client, 1 + i);
   }
   dipole_flush(client);
   assert_int_equal(read(pipe_ends[0], &byte, 1), 1); /* without another call of the library */
-  peer_finish(&peer, client);
+  peer_finish(client);
   close(pipe_ends[0]);
   close(pipe_ends[1]);
 }
@@ -163,12 +158,11 @@ static void serve_one_behind(int fd, void *context) {
 
 UNIT_TEST(test_what_is_submitted_stays) {
   dipole_options options = peer_options();
-  scripted_peer peer;
   dipole_result *result;
   dipole_error error;
   uint64_t id;
   options.call_timeout_ms = 20;
-  dipole_client *client = peer_begin_with(&peer, serve_one_behind, NULL, &options);
+  dipole_client *client = peer_begin_with(serve_one_behind, NULL, &options);
   const uint64_t first = peer_submit(client, 3);
   fail_collect_id(client, first, DIPOLE_ERROR_TIMEOUT);
   assert_false(dipole_collect(client, &id, &result, &error));
@@ -181,14 +175,13 @@ UNIT_TEST(test_what_is_submitted_stays) {
   peer_submit(client, 5);
   collect_id(client, second, 4);
   dipole_close(client); /* while one query is outstanding */
-  peer_end(&peer);
+  peer_end(&peer_of_test);
 }
 
 UNIT_TEST(test_what_nobody_waits_for_is_thrown_away) {
   dipole_options options = peer_options();
-  scripted_peer peer;
   options.call_timeout_ms = 20;
-  dipole_client *client = peer_begin_with(&peer, serve_one_behind, NULL, &options);
+  dipole_client *client = peer_begin_with(serve_one_behind, NULL, &options);
   for (unsigned i = 0; i < 3; i++) {
     peer_check_failure(client, DIPOLE_ERROR_TIMEOUT);
   }
@@ -197,60 +190,47 @@ UNIT_TEST(test_what_nobody_waits_for_is_thrown_away) {
   const uint64_t id = peer_submit(client, 9);
   peer_submit(client, 10);
   collect_id(client, id, 9);
-  peer_finish(&peer, client);
+  peer_finish(client);
 }
 
 /* The silence of a daemon counts across calls, even if each call is short. */
 UNIT_TEST(test_silence_counts_over_calls) {
   dipole_options options = peer_options();
-  scripted_peer peer;
   unsigned calls = 0;
   dipole_error error;
   options.call_timeout_ms = 20;
   options.timeout_ms = 600;
-  dipole_client *client = peer_begin_with(&peer, peer_be_silent, NULL, &options);
+  dipole_client *client = peer_begin_with(peer_be_silent, NULL, &options);
   while (!dipole_ping(client, &error) && error.kind == DIPOLE_ERROR_TIMEOUT && calls < 100) {
     calls++;
   }
   assert_int_equal(error.kind, DIPOLE_ERROR_CONNECTION);
   assert_string_equal(error.text, "the daemon was silent for 600 ms: gave up");
   assert_in_range(calls, 2, 99);
-  peer_finish(&peer, client);
+  peer_finish(client);
 }
 
 /* A call ends in time while the client reconnects, and the next call goes on reconnecting. */
 UNIT_TEST(test_reconnecting_takes_no_longer) {
   peer_script *const scripts[] = {peer_hang_up_after_request, peer_accept_only, peer_serve, NULL};
   dipole_options options = peer_options();
-  scripted_peer peer;
   options.call_timeout_ms = 100;
-  peer_start_scripts(&peer, scripts, NULL);
-  dipole_client *client = peer_open(peer.address, &options);
+  peer_start_scripts(&peer_of_test, scripts, NULL);
+  dipole_client *client = peer_open(peer_of_test.address, &options);
   const uint64_t id = peer_submit(client, 6);
   fail_collect_id(client, id, DIPOLE_ERROR_TIMEOUT);
   dipole_set_call_timeout_ms(client, 0);
   peer_check_eval(client, 5);
   collect_id(client, id, 6);
-  peer_finish(&peer, client);
-}
-
-static void stay_busy(int fd, void *context) {
-  peer_frame request;
-  (void)context;
-  peer_say_hello_or_abort(fd);
-  while (peer_receive(fd, &request)) {
-    peer_send_error(fd, request.header.request_id, WIRE_STATUS_BUSY, 5000);
-    free(request.payload);
-  }
+  peer_finish(client);
 }
 
 UNIT_TEST(test_busy_takes_no_longer) {
   dipole_options options = peer_options();
-  scripted_peer peer;
   options.call_timeout_ms = 50;
-  dipole_client *client = peer_begin_with(&peer, stay_busy, NULL, &options);
+  dipole_client *client = peer_begin_with(peer_stay_busy, &(uint32_t){5000}, &options);
   peer_check_failure(client, DIPOLE_ERROR_TIMEOUT);
   peer_check_failure(client, DIPOLE_ERROR_TIMEOUT);
   assert_int_equal(dipole_outstanding(client), 0);
-  peer_finish(&peer, client);
+  peer_finish(client);
 }

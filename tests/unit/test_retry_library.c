@@ -98,8 +98,7 @@ UNIT_TEST(test_lost_connections) {
   for (size_t i = 0; i < sizeof losses / sizeof losses[0]; i++) {
     const struct lost *row = &losses[i];
     size_t sent = row->sent;
-    scripted_peer peer;
-    dipole_client *client = peer_begin_scripts(&peer, row->scripts, &sent);
+    dipole_client *client = peer_begin_scripts(row->scripts, &sent);
     if (row->once || row->retry_ms > 0) {
       dipole_set_retry_ms(client, row->retry_ms);
     }
@@ -117,16 +116,15 @@ UNIT_TEST(test_lost_connections) {
     if (row->kind != DIPOLE_ERROR_NONE && (row->once || row->retry_ms > 0)) { /* it stays so */
       peer_check_failure(client, row->kind);
     }
-    peer_finish(&peer, client);
+    peer_finish(client);
   }
 }
 
 UNIT_TEST(test_each_submitted_query_has_one_answer) {
   peer_script *const scripts[] = {peer_answer_seven, peer_answer_seven, peer_serve, NULL};
-  scripted_peer peer;
-  dipole_client *client = peer_begin_scripts(&peer, scripts, NULL);
+  dipole_client *client = peer_begin_scripts(scripts, NULL);
   peer_check_each(client, 20);
-  peer_finish(&peer, client);
+  peer_finish(client);
 }
 
 /* ---- jobs ---------------------------------------------------------------------------------- */
@@ -186,10 +184,9 @@ static void walk_to_the_end(int fd, void *context) {
 UNIT_TEST(test_a_job_is_begun_again) {
   peer_script *const scripts[] = {peer_hang_up_after_request, hang_up_in_the_middle,
                                   stop_in_the_middle, walk_to_the_end, NULL};
-  scripted_peer peer;
   dipole_mc_result *result;
   dipole_error error;
-  dipole_client *client = peer_begin_scripts(&peer, scripts, NULL);
+  dipole_client *client = peer_begin_scripts(scripts, NULL);
   assert_true(dipole_mc(client, &job, NULL, NULL, &result, &error));
   assert_int_equal(result->end, DIPOLE_MC_PHOTONS);
   assert_int_equal(result->last.photons, job.photons);
@@ -198,7 +195,7 @@ UNIT_TEST(test_a_job_is_begun_again) {
   assert_null(dipole_mc_errors(result, 1, DIPOLE_MC_REFLECTED));
   assert_null(dipole_mc_photons(result, DIPOLE_MC_TRANSMITTED));
   dipole_mc_result_free(result);
-  peer_finish(&peer, client);
+  peer_finish(client);
 }
 
 static bool cancel_at_once(void *context, const dipole_mc_progress *now) {
@@ -208,27 +205,25 @@ static bool cancel_at_once(void *context, const dipole_mc_progress *now) {
 
 UNIT_TEST(test_a_cancelled_job_is_not_begun_again) {
   peer_script *const scripts[] = {hang_up_in_the_middle, peer_must_not_come, NULL};
-  scripted_peer peer;
   dipole_mc_result *result;
   dipole_error error;
-  dipole_client *client = peer_begin_scripts(&peer, scripts, NULL);
+  dipole_client *client = peer_begin_scripts(scripts, NULL);
   assert_false(dipole_mc(client, &job, cancel_at_once, NULL, &result, &error));
   assert_int_equal(error.kind, DIPOLE_ERROR_CONNECTION);
-  peer_finish(&peer, client);
+  peer_finish(client);
 }
 
 UNIT_TEST(test_a_job_that_is_cut_off_where_no_retries_are_wanted) {
   peer_script *const scripts[] = {stop_in_the_middle, peer_must_not_come, NULL};
-  scripted_peer peer;
   dipole_mc_result *result;
   dipole_error error;
-  dipole_client *client = peer_begin_scripts(&peer, scripts, NULL);
+  dipole_client *client = peer_begin_scripts(scripts, NULL);
   dipole_set_retry_ms(client, 0);
   assert_true(dipole_mc(client, &job, NULL, NULL, &result, &error));
   assert_int_equal(result->end, DIPOLE_MC_STOPPED);
   assert_int_equal(result->last.photons, 20);
   dipole_mc_result_free(result);
-  peer_finish(&peer, client);
+  peer_finish(client);
 }
 
 UNIT_TEST(test_what_is_too_large_to_keep) {
@@ -238,13 +233,12 @@ UNIT_TEST(test_what_is_too_large_to_keep) {
   dipole_query query = peer_query(count);
   dipole_result *result;
   dipole_error error;
-  scripted_peer peer;
   assert_non_null(many);
   query.radii = many;
-  dipole_client *client = peer_begin_scripts(&peer, scripts, NULL);
+  dipole_client *client = peer_begin_scripts(scripts, NULL);
   assert_false(dipole_eval(client, &query, &result, &error));
   assert_int_equal(error.kind, DIPOLE_ERROR_CONNECTION);
-  peer_finish(&peer, client);
+  peer_finish(client);
   free(many);
 }
 
@@ -268,13 +262,12 @@ static void serve_the_third_time(int fd, void *context) {
 UNIT_TEST(test_busy) {
   peer_script *const scripts[] = {serve_the_third_time, peer_must_not_come, NULL};
   unsigned received = 0;
-  scripted_peer peer;
-  dipole_client *client = peer_begin_scripts(&peer, scripts, &received);
+  dipole_client *client = peer_begin_scripts(scripts, &received);
   const int64_t start_ms = peer_now_ms();
   peer_check_eval(client, 5);
   assert_true(peer_now_ms() - start_ms >= 40);
   peer_check_eval(client, 6);
-  peer_finish(&peer, client);
+  peer_finish(client);
   assert_int_equal(received, 6);
 }
 
@@ -298,9 +291,8 @@ UNIT_TEST(test_others_do_not_wait_for_the_busy_one) {
   peer_script *const scripts[] = {serve_out_of_turn, NULL};
   static const unsigned order[] = {0, 2, 1};
   uint64_t ids[3];
-  scripted_peer peer;
   dipole_error error;
-  dipole_client *client = peer_begin_scripts(&peer, scripts, NULL);
+  dipole_client *client = peer_begin_scripts(scripts, NULL);
   for (unsigned i = 0; i < 3; i++) {
     const dipole_query query = peer_query(i + 1);
     assert_true(dipole_submit(client, &query, &ids[i], &error));
@@ -312,32 +304,21 @@ UNIT_TEST(test_others_do_not_wait_for_the_busy_one) {
     assert_true(id == ids[order[i]]);
     peer_check_result(result, order[i] + 1);
   }
-  peer_finish(&peer, client);
-}
-
-/* A script that refuses every request with BUSY. *context: retry_after_ms. */
-static void stay_busy(int fd, void *context) {
-  peer_frame request;
-  peer_say_hello_or_abort(fd);
-  while (peer_receive(fd, &request)) {
-    peer_send_error(fd, request.header.request_id, WIRE_STATUS_BUSY, *(const uint32_t *)context);
-    free(request.payload);
-  }
+  peer_finish(client);
 }
 
 UNIT_TEST(test_busy_for_longer_than_that) {
   static const uint32_t retry_after_ms[] = {0, 1, 60, 60000};
   for (size_t i = 0; i < 4; i++) {
-    peer_script *const scripts[] = {stay_busy, NULL};
+    peer_script *const scripts[] = {peer_stay_busy, NULL};
     uint32_t after_ms = retry_after_ms[i];
-    scripted_peer peer;
-    dipole_client *client = peer_begin_scripts(&peer, scripts, &after_ms);
+    dipole_client *client = peer_begin_scripts(scripts, &after_ms);
     dipole_set_retry_ms(client, 100);
     const dipole_error error = peer_check_failure(client, DIPOLE_ERROR_REFUSED);
     assert_int_equal(error.status, WIRE_STATUS_BUSY);
     assert_int_equal(error.retry_after_ms, after_ms);
     peer_check_failure(client, DIPOLE_ERROR_REFUSED); /* The client goes on working. */
-    peer_finish(&peer, client);
+    peer_finish(client);
   }
 }
 
@@ -363,27 +344,25 @@ UNIT_TEST(test_deadlines_go_on) {
   peer_script *const scripts[] = {hang_up_after_a_while, note_deadline, NULL};
   uint32_t left_ms = 0;
   dipole_query query = peer_query(9);
-  scripted_peer peer;
   dipole_result *result;
   dipole_error error;
   query.deadline_ms = 15000;
-  dipole_client *client = peer_begin_scripts(&peer, scripts, &left_ms);
+  dipole_client *client = peer_begin_scripts(scripts, &left_ms);
   assert_true(dipole_eval(client, &query, &result, &error));
   peer_check_result(result, 9);
-  peer_finish(&peer, client);
+  peer_finish(client);
   assert_in_range(left_ms, 1, 14960);
 }
 
 UNIT_TEST(test_deadlines_end) {
   peer_script *const scripts[] = {hang_up_after_a_while, peer_serve, NULL};
   dipole_query query = peer_query(9);
-  scripted_peer peer;
   dipole_result *result;
   dipole_error error;
   query.deadline_ms = 20;
   for (int collects = 0; collects < 2; collects++) {
     uint64_t id;
-    dipole_client *client = peer_begin_scripts(&peer, scripts, NULL);
+    dipole_client *client = peer_begin_scripts(scripts, NULL);
     assert_false(collects ? dipole_submit(client, &query, &id, &error) &&
                                 dipole_collect(client, &id, &result, &error)
                           : dipole_eval(client, &query, &result, &error));
@@ -391,7 +370,7 @@ UNIT_TEST(test_deadlines_end) {
     assert_int_equal(error.status, WIRE_STATUS_DEADLINE);
     assert_string_equal(error.field, "deadline_ms");
     peer_check_eval(client, 5);
-    peer_finish(&peer, client);
+    peer_finish(client);
   }
 }
 
@@ -418,10 +397,9 @@ static void send_other_parts(int fd, void *context) {
 
 UNIT_TEST(test_parts_are_put_together_anew) {
   peer_script *const scripts[] = {send_three_parts, send_other_parts, NULL};
-  scripted_peer peer;
-  dipole_client *client = peer_begin_scripts(&peer, scripts, NULL);
+  dipole_client *client = peer_begin_scripts(scripts, NULL);
   peer_check_eval(client, RADII);
-  peer_finish(&peer, client);
+  peer_finish(client);
 }
 
 static bool read_part(void *context, const dipole_result *part, uint64_t radius_first) {
@@ -438,19 +416,17 @@ UNIT_TEST(test_parts_are_not_handed_on_twice) {
   peer_script *const lost_at_first[] = {peer_hang_up_after_request, send_other_parts, NULL};
   peer_script *const lost_in_between[] = {send_three_parts, peer_must_not_come, NULL};
   const dipole_query query = peer_query(RADII);
-  scripted_peer peer;
   dipole_error error;
   uint64_t read = 0;
-  dipole_client *client = peer_begin_scripts(&peer, lost_at_first, NULL);
+  dipole_client *client = peer_begin_scripts(lost_at_first, NULL);
   assert_true(dipole_eval_parts(client, &query, read_part, &read, &error));
   assert_int_equal(read, RADII);
-  peer_finish(&peer, client);
+  peer_finish(client);
 
   read = 0;
-  peer_start_scripts(&peer, lost_in_between, NULL);
-  client = peer_open(peer.address, NULL);
+  client = peer_begin_scripts(lost_in_between, NULL);
   assert_false(dipole_eval_parts(client, &query, read_part, &read, &error));
   assert_int_equal(error.kind, DIPOLE_ERROR_CONNECTION);
   assert_int_equal(read, 24);
-  peer_finish(&peer, client);
+  peer_finish(client);
 }

@@ -312,17 +312,16 @@ static void answer_requests(int fd, void *context) {
 static void assert_not_fetched(const made_table *with, const dipole_table_query *query,
                                enum dipole_error_kind kind) {
   made_table context = *with;
-  scripted_peer peer;
   dipole_table *table = NULL;
   dipole_surface *surface = NULL;
   dipole_error error = {0};
-  dipole_client *client = peer_begin(&peer, answer_requests, &context);
+  dipole_client *client = peer_begin(answer_requests, &context);
   assert_false(with->is_surface ? dipole_surface_fetch(client, query, &surface, &error)
                                 : dipole_table_fetch(client, query, &table, &error));
   assert_int_equal(error.kind, kind);
   assert_true(table == NULL && surface == NULL);
   assert_int_equal(dipole_ping(client, NULL), kind == DIPOLE_ERROR_ARGUMENT);
-  peer_finish(&peer, client);
+  peer_finish(client);
 }
 
 UNIT_TEST(other_answers_are_refused) {
