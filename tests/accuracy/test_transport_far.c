@@ -143,3 +143,19 @@ UNIT_TEST(the_error_that_is_stated_holds_far_away) {
   assert_true(most <= 1 && most_chosen <= 1);
   assert_true(promises > 20);
 }
+
+/* Light sent straight back beside isotropic scattering couples psi(mu) with psi(-mu) alone. With s^2 = 1 -
+ * reversed^2 the rate k then solves albedo (1 + reversed) artanh(k / s) = k s. */
+UNIT_TEST(light_sent_straight_back_decays_as_its_closed_form) {
+  static const double isotropic[] = {1}, reversed[] = {0, 0.02, 0.1, 0.3};
+  for (size_t i = 0; i < sizeof reversed / sizeof *reversed; i++) {
+    const double back = reversed[i], s = sqrt((1 - back) * (1 + back));
+    for (double albedo = 0.4; albedo + back < 1; albedo += 0.1) {
+      const double k = transport_decay_rate(isotropic, 1, albedo, back, 1 - albedo - back);
+      const double scattered = albedo * (1 + back) * atanh(k / s) / (k * s);
+      if (!(fabs(scattered - 1) < 1e-8)) {
+        fail_msg("albedo %g, reversed %g: k %.12g, off by %g", albedo, back, k, scattered - 1);
+      }
+    }
+  }
+}
