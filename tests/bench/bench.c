@@ -51,10 +51,18 @@ void bench_fail(const char *why) {
 
 /* ---- time --------------------------------------------------------------------------------- */
 
-uint64_t bench_now_ns(void) {
+static uint64_t read_clock(clockid_t clock) {
   struct timespec now;
-  clock_gettime(CLOCK_MONOTONIC, &now);
+  clock_gettime(clock, &now);
   return (uint64_t)now.tv_sec * 1000000000u + (uint64_t)now.tv_nsec;
+}
+
+uint64_t bench_now_ns(void) {
+  return read_clock(CLOCK_MONOTONIC);
+}
+
+uint64_t bench_own_ns(void) {
+  return read_clock(CLOCK_THREAD_CPUTIME_ID);
 }
 
 static int compare_doubles(const void *a, const void *b) {
@@ -96,11 +104,11 @@ enum { CONTENDERS_MAX = 16, ROUNDS_MIN = 7, ROUNDS_MAX = 51 };
 #define LONG_COMPARISON_NS 1000000000
 
 static double sample_ns(const bench_contender *contender, uint64_t runs) {
-  const uint64_t start = bench_now_ns();
+  const uint64_t start = bench_own_ns();
   for (uint64_t i = 0; i < runs; i++) {
     contender->run(contender->context);
   }
-  return (double)(bench_now_ns() - start);
+  return (double)(bench_own_ns() - start);
 }
 
 /* Returns how many runs make a sample. Also warms caches and clocks up. */

@@ -29,6 +29,9 @@ _Noreturn void bench_fail(const char *why);
 
 uint64_t bench_now_ns(void);
 
+/* The processor time of this thread: what work costs, on a machine that does other work too. */
+uint64_t bench_own_ns(void);
+
 /* Returns the median of n > 0 values and sorts them. */
 double bench_median(double *values, size_t n);
 
@@ -49,7 +52,7 @@ void bench_fill_radii(size_t value_bytes, void *r, size_t n);
 
 /* One of the programs that bench_compare() compares. It runs them in turn, round after round, so
  * that other work of the machine slows all of them down alike. One call of run(context) is one unit
- * of work. bench_compare() sets ns to the median time of a unit. */
+ * of work. bench_compare() sets ns to the median of the processor time of a unit. */
 typedef struct bench_contender {
   void (*run)(const void *context);
   const void *context;

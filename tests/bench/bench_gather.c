@@ -17,20 +17,12 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
-#include <time.h>
 
 #include "core/gather/gather.h"
 #include "core/splitmix.h"
 #include "tests/bench/bench.h"
 
 enum { CHANNELS = 3, MILLION = 1000000, RUN = 500, COMPARED = 200 };
-
-/* The processor time of this thread: what a query costs, on a machine that does other work too. */
-static uint64_t own_ns(void) {
-  struct timespec now;
-  clock_gettime(CLOCK_THREAD_CPUTIME_ID, &now);
-  return (uint64_t)now.tv_sec * 1000000000u + (uint64_t)now.tv_nsec;
-}
 
 /* ---- the scene ------------------------------------------------------------------------------- */
 
@@ -73,14 +65,14 @@ static scene make_scene(size_t n) {
       made.power[CHANNELS * i + c] = (float)(lit * colour[c] / (double)n);
     }
   }
-  const uint64_t start = own_ns();
+  const uint64_t start = bench_own_ns();
   made.points = core_gather_points_create(n, made.xyz, CHANNELS, made.power);
   if (made.points == NULL) {
     bench_fail("no memory is left");
   }
   while (!core_gather_points_build(made.points, 1000000)) {
   }
-  made.build_s = (double)(own_ns() - start) * 1e-9;
+  made.build_s = (double)(bench_own_ns() - start) * 1e-9;
   return made;
 }
 
@@ -144,12 +136,12 @@ static double gather_runs(const scene *of, const core_gather_sum *sum, const que
                           size_t stride) {
   core_gather_visits visits = {0, 0, 0, 0};
   core_gather_scratch *scratch = core_gather_scratch_create(sum, of->points);
-  const uint64_t start = own_ns();
+  const uint64_t start = bench_own_ns();
   for (size_t run = 0; run < queries->n / RUN; run += stride) {
     core_gather(sum, of->points, scratch, RUN, queries->order + run * RUN, queries->xyz, queries->M,
                 NULL, &visits);
   }
-  const double us = (double)(own_ns() - start) * 1e-3 / (double)visits.queries;
+  const double us = (double)(bench_own_ns() - start) * 1e-3 / (double)visits.queries;
   core_gather_scratch_free(scratch);
   return us;
 }
@@ -378,14 +370,14 @@ static double angle_us(const angle_node *root, const scene *of, const query_set 
   *found = angle_error(root, of, queries, least, exact);
   const size_t stride = 1000;
   size_t count = 0;
-  const uint64_t start = own_ns();
+  const uint64_t start = bench_own_ns();
   for (size_t run = 0; run < MILLION / RUN; run += stride) {
     for (size_t i = 0; i < RUN; i++, count++) {
       double M[CHANNELS];
       angle_query(root, of, least, queries->xyz + 3 * (size_t)queries->order[run * RUN + i], M);
     }
   }
-  return (double)(own_ns() - start) * 1e-3 / (double)count;
+  return (double)(bench_own_ns() - start) * 1e-3 / (double)count;
 }
 
 /* ---- figures --------------------------------------------------------------------------------- */
