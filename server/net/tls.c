@@ -30,7 +30,7 @@ bool tls_is_wanted(const struct options *options) {
 
 enum { CERTIFICATES_BYTES = 32768, CHAIN_LENGTH = 8 }; /* limits of a client's certificates */
 enum {
-  FEED_BYTES = 16384, /* most bytes that one call decrypts: about a record */
+  FEED_BYTES = 32768, /* received at a time: two records, of which each call decrypts one */
   KEPT_BYTES = 512,   /* memory that a silent connection keeps for the next ones */
 };
 enum { SUBJECT_BYTES = 1024, ROLE_BYTES = 128 };
