@@ -102,7 +102,7 @@ def test_a_frame_that_does_not_arrive(daemon):
 def test_a_slow_frame_delays_nobody_and_has_no_more_time(daemon):
     """The time limit of a frame runs from its first byte, and anew for the next one. Unknown functions
     do not delay other masters, as they would in libmodbus's own server, which sleeps for 0.5 s."""
-    one = daemon(*TCP, "--modbus-frame-timeout-ms", "500")
+    one = daemon(*TCP, "--modbus-frame-timeout-ms", "2000")
     with Tcp(one) as ahead, Tcp(one) as slow, Tcp(one) as fast:
         whole = ahead.frame(1, READ_ONE)
         ahead.socket.sendall(whole[:5])

@@ -429,9 +429,9 @@ def hung(daemon):
 
 @all_clients
 def test_opening_beside_one_that_hangs(daemon, hung, ask):
-    """A daemon that hangs has a share of the time, a half of 1 s here, and the next one answers."""
+    """A daemon that hangs has a share of the time, a half of 2 s here, and the next one answers."""
     good = daemon()
-    assert ask(f"{hung.url()},{good.url()}", retry_s=1.0)[0] == good.url()
+    assert ask(f"{hung.url()},{good.url()}", retry_s=2.0)[0] == good.url()
 
 
 @all_clients

@@ -1,12 +1,10 @@
 /* libdipole when the daemon chooses the model: answers to queries of any model, from a peer that
  * sometimes sends wrong answers. */
-#include <math.h>
 
 #include "proto/eval.h"
 #include "tests/unit/peer_scripts.h"
 #include "tests/unit/unit.h"
 
-static const dipole_medium medium = {.sigma_a_per_mm = 0.25, .sigma_s_per_mm = 1, .eta = 1.3};
 static const float radii[3] = {0.5f, 1, 2};
 static const double wide_radii[3] = {0.5, 1, 2};
 static const dipole_parameter tolerance = {CORE_PARAMETER_TOLERANCE, 0.01};
@@ -16,7 +14,7 @@ static dipole_query query_of(unsigned model, unsigned evaluator) {
                         .evaluator = evaluator,
                         .moments = DIPOLE_EXACT,
                         .wanted = DIPOLE_R | DIPOLE_CDF,
-                        .media = &medium,
+                        .media = peer_media,
                         .medium_count = 1,
                         .spacing = DIPOLE_LIST,
                         .radii = evaluator == DIPOLE_F64 ? (const void *)wide_radii : radii,

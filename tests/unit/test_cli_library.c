@@ -6,15 +6,13 @@
 #include "tests/unit/peer_scripts.h"
 #include "tests/unit/unit.h"
 
-static const dipole_medium media[2] = {{.sigma_a_per_mm = 0.25, .sigma_s_per_mm = 1, .eta = 1.3},
-                                       {.sigma_a_per_mm = 0.5, .sigma_s_per_mm = 2, .eta = 1.3}};
 static const double radii[3] = {0.5, 1, 2};
 
 static const dipole_query simple_query = {.model = 2,
                                           .evaluator = DIPOLE_F64,
                                           .moments = DIPOLE_EXACT,
                                           .wanted = DIPOLE_R | DIPOLE_ALBEDO | DIPOLE_CDF,
-                                          .media = media,
+                                          .media = peer_media,
                                           .medium_count = 2,
                                           .spacing = DIPOLE_LIST,
                                           .radii = radii,
@@ -28,7 +26,7 @@ static void check_simple_result(dipole_result *result) {
   assert_null(result->radius_f64);
   for (size_t i = 0; i < 2; i++) {
     const dipole_channel *channel = &result->channels[i];
-    assert_true(channel->albedo == media[i].sigma_a_per_mm);
+    assert_true(channel->albedo == peer_media[i].sigma_a_per_mm);
     assert_null(channel->R_f32);
     assert_null(channel->cdf_f32);
     assert_int_equal((uintptr_t)channel->R_f64 % 8, 0);
@@ -249,7 +247,7 @@ UNIT_TEST(test_arguments) {
 #undef EVAL
 
   dipole_table *table;
-  const dipole_table_query fetched = {.model = 2, .moments = DIPOLE_EXACT, .medium = media[0]};
+  const dipole_table_query fetched = {.model = 2, .moments = DIPOLE_EXACT, .medium = peer_media[0]};
 #define TABLE(field, value)                                                                        \
   REFUSED(dipole_table_query, dipole_table_fetch(client, &wrong, &table, &error), fetched, field,  \
           value)
@@ -259,7 +257,7 @@ UNIT_TEST(test_arguments) {
 #undef TABLE
 
   dipole_mc_result *walked;
-  const dipole_mc_query job = {.medium = media[0],
+  const dipole_mc_query job = {.medium = peer_media[0],
                                .spacing = DIPOLE_LINEAR,
                                .ring_count = 2,
                                .radius_stop_mm = 2,
@@ -276,7 +274,7 @@ UNIT_TEST(test_arguments) {
                                .evaluator = DIPOLE_F64,
                                .moments = DIPOLE_EXACT,
                                .wanted = DIPOLE_RADIUS,
-                               .media = media,
+                               .media = peer_media,
                                .medium_count = 1,
                                .draw = DIPOLE_DRAW_RANDOM,
                                .sample_count = 3};

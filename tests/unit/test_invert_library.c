@@ -9,7 +9,6 @@ enum { MEDIA = 7, PAYLOAD_MAX = 4096 };
 
 static const double albedos[MEDIA] = {.1, .2, .3, .4, .5, .6, .7};
 static const double lengths_mm[MEDIA] = {1, 2, 3, 4, 5, 6, 7};
-static const dipole_medium medium = {.sigma_a_per_mm = 0.25, .sigma_s_per_mm = 1, .eta = 1.3};
 
 static dipole_invert_query invert_query(void) {
   return (dipole_invert_query){.model = 2,
@@ -177,7 +176,7 @@ static dipole_sample_query sample_query(const dipole_medium *media) {
 
 UNIT_TEST(numbers_are_the_cores) {
   const core_draw draw = {CORE_DRAW_RANDOM, SAMPLES, 0, 7};
-  dipole_sample_query query = sample_query(&medium);
+  dipole_sample_query query = sample_query(peer_media);
   double u[SAMPLES], wanted[SAMPLES];
   float u_f32[SAMPLES], wanted_f32[SAMPLES];
   assert_true(dipole_sample_numbers(&query, 0, SAMPLES, u, NULL));
@@ -198,7 +197,7 @@ static void assert_no_numbers(const dipole_sample_query *query, uint64_t begin, 
 }
 
 UNIT_TEST(numbers_that_there_are_not_are_an_error) {
-  dipole_sample_query query = sample_query(&medium);
+  dipole_sample_query query = sample_query(peer_media);
   assert_no_numbers(&query, 0, SAMPLES + 1);
   assert_no_numbers(&query, SAMPLES + 1, 0);
   assert_no_numbers(&query, UINT64_MAX, 2);
@@ -208,7 +207,7 @@ UNIT_TEST(numbers_that_there_are_not_are_an_error) {
   assert_no_numbers(&query, 0, 1);
   query.draw = DIPOLE_DRAW_REGULAR; /* This rule has no seed. */
   assert_no_numbers(&query, 0, 1);
-  query = sample_query(&medium);
+  query = sample_query(peer_media);
   query.evaluator = 9;
   assert_no_numbers(&query, 0, 1);
 }
