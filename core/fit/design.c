@@ -133,6 +133,17 @@ static bool fits_model(unsigned model) {
          model != CORE_MODEL_SKIN_GREEN && model != CORE_MODEL_SKIN_BLUE;
 }
 
+/* Returns a medium of a design in place of all: a slab is scaled to ten mean free paths or more, as
+ * models refuse thin ones. */
+static core_medium thick_enough(core_medium medium) {
+  const double paths =
+      medium.thickness_mm * (medium.sigma_a_per_mm + medium.sigma_s_per_mm * (1 - medium.g));
+  const double scale = paths > 0 ? real_max(1, 10 / paths) : 1;
+  medium.sigma_a_per_mm *= scale;
+  medium.sigma_s_per_mm *= scale;
+  return medium;
+}
+
 core_fault core_fit_check(const core_fit_design *design) {
   if (core_choice_by_id(core_fit_axes, design->axis) == NULL) {
     return (core_fault){"axis", "an axis of the list", 0};
@@ -147,8 +158,8 @@ core_fault core_fit_check(const core_fit_design *design) {
   if (!(design->g > -1 && design->g < 1)) {
     return (core_fault){"g", "above -1 and below 1", 0};
   }
-  const core_medium some = {0.01, 1 / (1 - design->g), design->g, design->eta,
-                            design->thickness_mm};
+  const core_medium some = thick_enough(
+      (core_medium){0.01, 1 / (1 - design->g), design->g, design->eta, design->thickness_mm});
   core_parameters taken = design->parameters != NULL ? *design->parameters : core_parameters_none();
   taken.value[CORE_PARAMETER_MHZ] = is_modulated(design) ? 0 : (double)NAN;
   core_fault fault =
@@ -329,8 +340,8 @@ double fit_chi_squared_most(size_t spare) {
 }
 
 static core_fault set_notes(core_fit *fit) {
-  const core_medium medium =
-      fit_medium(&fit->model, fit_grid_place(fit, FIT_GRID / 2 + FIT_GRID_SCATTERINGS / 2));
+  const core_medium medium = thick_enough(
+      fit_medium(&fit->model, fit_grid_place(fit, FIT_GRID / 2 + FIT_GRID_SCATTERINGS / 2)));
   core_profile profile;
   const core_fault fault =
       core_profile_prepare(&profile, fit->model.isa, fit->model.model, fit->model.moments,

@@ -814,3 +814,27 @@ UNIT_TEST(noise_of_2_percent_spreads_as_the_bound) {
   expect_noise(CORE_FIT_SCALE_ABSOLUTE, 10, 0.02);
   expect_noise(CORE_FIT_SCALE_FREE, 40, 0.02);
 }
+
+/* A slab is fitted at any scale, though many of the media that are tried are too thin for its model. */
+UNIT_TEST(slabs_a_fraction_of_a_mm_thick_come_back) {
+  static const double thickness_mm[] = {0.15, 1.5, 3}, paths = 3;
+  static const unsigned models[] = {CORE_MODEL_MULTIPOLE, CORE_MODEL_BETTER_MULTIPOLE_TRANSMITTED};
+  for (size_t i = 0; i < 6; i++) {
+    const double sigma_t = paths / thickness_mm[i % 3];
+    struct subject subject = {
+        .medium = {.05 * sigma_t, .95 * sigma_t, 0, 1.4, thickness_mm[i % 3]},
+        .design = {.model = models[i / 3], .eta = 1.4, .count = 4, .at = subject.at}};
+    subject.design.moments = CORE_MOMENTS_EXACT;
+    subject.design.axis = CORE_FIT_AXIS_RADIUS;
+    subject.design.scale = CORE_FIT_SCALE_ABSOLUTE;
+    subject.design.thickness_mm = thickness_mm[i % 3];
+    for (size_t k = 0; k < 4; k++) {
+      subject.at[k] = (2 + 2.5 * (double)k) / sigma_t;
+    }
+    evaluate(&subject);
+    set_errors(&subject, 0.01);
+    const core_fit_result result = fitted(&subject);
+    assert_int_equal(result.status, CORE_FIT_STATUS_FITTED);
+    assert_true(off(&subject, &result.best) < 1e-6);
+  }
+}
