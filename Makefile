@@ -25,7 +25,8 @@ BITS := -ffp-contract=off -fno-math-errno -fno-trapping-math -fno-tree-slp-vecto
 BITS += $(if $(shell $(CC) -dM -E -x c /dev/null | grep -w __i386__),-msse2 -mfpmath=sse)
 ALL_CFLAGS = -std=c17 $(WARNINGS) $(BITS) -fPIC -pthread $(CFLAGS) $(SANITIZE)
 ALL_CPPFLAGS = -D_GNU_SOURCE -I. -DDIPOLED_VERSION='"$(VERSION)"' -MMD -MP $(CPPFLAGS)
-ALL_LDFLAGS = -pthread $(LDFLAGS) $(SANITIZE)
+# Packed relocations: a thirtieth of the daemon less.
+ALL_LDFLAGS = -pthread -Wl,-z,pack-relative-relocs $(LDFLAGS) $(SANITIZE)
 
 # The flags and libraries of a package, asked for where they are used.
 PKG_CONFIG ?= pkg-config
@@ -47,7 +48,7 @@ ARCH := $(firstword $(subst -, ,$(shell $(CC) -dumpmachine)))
 ISAS := portable $(if $(filter x86_64,$(ARCH)),sse2 avx2 avx512) $(if $(filter aarch64,$(ARCH)),neon)
 ALL_CPPFLAGS += $(if $(filter-out portable,$(ISAS)),,-DCORE_PORTABLE_ALONE)
 ISA_FLAGS_portable := -O2 -fno-tree-vectorize
-ISA_FLAGS_sse2 := -O3 -msse2
+ISA_FLAGS_sse2 := -O2 -ftree-vectorize -fvect-cost-model=dynamic -msse2
 ISA_FLAGS_avx2 := -O3 -mavx2 -mfma
 ISA_FLAGS_neon := -O3
 ISA_FLAGS_avx512 := -O3 -mavx512f -mavx512dq -mavx512vl -mfma -mprefer-vector-width=512

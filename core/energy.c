@@ -48,15 +48,15 @@ static void integrate_series(const double *g, double half_width, double *series)
 }
 
 /* Returns the energy of a panel, and writes its series. */
-static double build_panel(core_kernel_f64 *R, const double *c, double first_mm, size_t panel,
-                          double *series) {
+static double build_panel(const core_kernels_f64 *kernels, const double *c, double first_mm,
+                          size_t panel, double *series) {
   double r[NODES];
   double g[NODES];
   double energy = 0;
   for (int i = 0; i < NODES; i++) {
     r[i] = first_mm * (panel < KEPT ? kept[panel][i] : radius_at(panel, i));
   }
-  R(c, NODES, r, g);
+  core_run_f64(kernels, kernels->evaluate[CORE_ELEMENTWISE_R], c, NODES, r, g);
   for (int i = 0; i < NODES; i++) {
     g[i] *= 6.28318530717958647693 * r[i] * r[i];
     energy = fma(core_gauss_weight(i), g[i], energy);
@@ -65,13 +65,13 @@ static double build_panel(core_kernel_f64 *R, const double *c, double first_mm, 
   return WIDTH * energy;
 }
 
-double core_energy_build(core_kernel_f64 *R, const double *c, double first_mm, double last_mm,
-                         double *table) {
+double core_energy_build(const core_kernels_f64 *kernels, const double *c, double first_mm,
+                         double last_mm, double *table) {
   const size_t panels = panels_between(first_mm, last_mm);
   pthread_once(&kept_once, keep_radii);
   double ends[3] = {first_mm, first_mm * 1.0625, first_mm * 0x1p-64};
   double density[3]; /* 2 pi r R at these radii */
-  R(c, 3, ends, density);
+  core_run_f64(kernels, kernels->evaluate[CORE_ELEMENTWISE_R], c, 3, ends, density);
   for (int i = 0; i < 3; i++) {
     density[i] *= 6.28318530717958647693 * ends[i];
   }
@@ -85,7 +85,7 @@ double core_energy_build(core_kernel_f64 *R, const double *c, double first_mm, d
   double energy = density[0] * first_mm * (steep ? 1 : rises ? 0.5 + 0.25 * rise : 0.5);
   for (size_t i = 0; i < panels; i++) {
     double *series = table + CORE_ENERGY_SERIES + i * CORE_ENERGY_TERMS;
-    const double gained = build_panel(R, c, first_mm, i, series);
+    const double gained = build_panel(kernels, c, first_mm, i, series);
     series[0] += energy;
     energy += gained;
   }

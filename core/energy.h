@@ -27,9 +27,9 @@ enum core_energy_field {
 /* Returns how many numbers a table for radii from first_mm to last_mm has. */
 size_t core_energy_length(double first_mm, double last_mm);
 
-/* Fills in a table of core_energy_length() numbers from the kernel of R. Returns
+/* Fills in a table of core_energy_length() numbers from the kernel of R in `kernels`. Returns
  * the whole energy and divides the table by it unless it is 0. */
-double core_energy_build(core_kernel_f64 *R, const double *c, double first_mm, double last_mm,
-                         double *table);
+double core_energy_build(const core_kernels_f64 *kernels, const double *c, double first_mm,
+                         double last_mm, double *table);
 
 #endif

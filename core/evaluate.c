@@ -242,12 +242,14 @@ void core_eval_f32(const core_profile *profile, enum core_quantity quantity, siz
     (kernels != NULL && profile->lut == NULL ? narrow_paths : widely)(
         profile->lut != NULL ? profile->source : profile, quantity, n, r, out);
   } else if (kernels != NULL && kernels[position(quantity)] != NULL) {
-    kernels[position(quantity)](core_coefficients_f32(profile), n, r, out);
+    core_run_f32(profile->kernels->f32, kernels[position(quantity)], core_coefficients_f32(profile),
+                 n, r, out);
   } else if (profile->source == NULL && core_is_narrow(profile) && quantity == CORE_QUANTITY_T) {
     memset(out, 0, n * sizeof *out);
   } else if (kernels != NULL && (quantity & CORE_MULTIPLES) != 0) {
     const struct multiple of = multiple_of(profile, quantity);
-    kernels[CORE_ELEMENTWISE_R](core_coefficients_f32(profile), n, r, out);
+    core_run_f32(profile->kernels->f32, kernels[CORE_ELEMENTWISE_R], core_coefficients_f32(profile),
+                 n, r, out);
     for (size_t i = 0; i < n; i++) {
       out[i] = (float)times_R(of, (double)r[i], (double)out[i]);
     }

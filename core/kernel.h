@@ -235,13 +235,33 @@ static inline real real_log(real x, real exponent) {
 #define CORE_PASTE5_(a, b, c, d, e) a##b##c##d##e
 #define CORE_PASTE5(a, b, c, d, e) CORE_PASTE5_(a, b, c, d, e)
 
+/* How many numbers a vector holds; 1 where loops with an fma are not vectorized. Kernels take whole
+ * vectors (core/kernels.h), so that the compiler makes no second loop for the rest. */
+#if defined(__AVX512F__)
+#define CORE_LANES (64 / sizeof(real))
+#elif defined(__AVX2__)
+#define CORE_LANES (32 / sizeof(real))
+#elif defined(__aarch64__)
+#define CORE_LANES (16 / sizeof(real))
+#else
+#define CORE_LANES 1
+#endif
+/* n, which is a multiple of CORE_LANES, in a form from which compilers see it */
+#define CORE_WHOLE(n) ((n) / CORE_LANES * CORE_LANES)
+
+/* CORE_FOR_LANES(i, n) is a loop over n numbers, i from 0 on, a vector at a time. */
+#define CORE_FOR_LANES(i, n)                                                                       \
+  for (size_t i##_done = 0; i##_done < (n); i##_done += CORE_LANES)                                \
+    for (size_t i = i##_done, i##_lane = 0; i##_lane < CORE_LANES; i##_lane++, i++)
+
 /* CORE_KERNEL_TABLE(family, ...) defines the table of kernels, the only symbol that the object
  * exports. */
 #define CORE_KERNEL_TABLE(family, ...)                                                             \
   extern const CORE_PASTE2(core_kernels_f, CORE_REAL)                                              \
       CORE_PASTE5(core_kernels_, family, _, CORE_ISA, CORE_PASTE2(_f, CORE_REAL));                 \
   const CORE_PASTE2(core_kernels_f, CORE_REAL)                                                     \
-      CORE_PASTE5(core_kernels_, family, _, CORE_ISA, CORE_PASTE2(_f, CORE_REAL)) = {__VA_ARGS__}
+      CORE_PASTE5(core_kernels_, family, _, CORE_ISA,                                              \
+                  CORE_PASTE2(_f, CORE_REAL)) = {.lanes = CORE_LANES, __VA_ARGS__}
 
 /* The member of the table for a family with kernels eval_R, eval_cdf, eval_slope and eval_ln_R. */
 #define CORE_KERNELS_OF_ALL                                                                        \
@@ -262,7 +282,7 @@ static inline real real_log(real x, real exponent) {
 #define CORE_KERNEL(name, element)                                                                 \
   static void name(const real *restrict coefficients, size_t n, const real *restrict in,           \
                    real *restrict out) {                                                           \
-    for (size_t i = 0; i < n; i++) {                                                               \
+    CORE_FOR_LANES(i, n) {                                                                         \
       out[i] = element(coefficients, in[i]);                                                       \
     }                                                                                              \
   }

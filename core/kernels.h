@@ -46,10 +46,12 @@ enum core_elementwise {
 /* The argument of core_varying_check_kernel: radii up to infinity, or numbers u up to 1. */
 enum core_varying_argument { CORE_VARYING_RADII, CORE_VARYING_NUMBERS };
 
+enum { CORE_LANES_MOST = 16 };
+
 /* The kernels of a precision.
  *
  * core_kernel writes out[n] from in[n] and the coefficients of a prepared profile. The arrays do not
- * overlap; n may be any number, 0 included.
+ * overlap. Kernels that evaluate or sample take whole vectors: n is a multiple of `lanes`.
  *
  * The others are for media that vary (core/varying.h): value i has the medium sigma_a[i], sigma_s[i]
  * in 1/mm. shared: constants of the model, g and eta (core/models/lanes.h); words: tables
@@ -79,6 +81,7 @@ enum core_varying_argument { CORE_VARYING_RADII, CORE_VARYING_NUMBERS };
       const real *shared, const real *words, size_t n, const real *sigma_a, const real *sigma_s,   \
       const real *r, real *ln_R, real *by_ln_sigma_a, real *by_ln_sigma_s);                        \
   typedef struct core_kernels_##bits {                                                             \
+    size_t lanes; /* numbers in a vector: a power of two up to CORE_LANES_MOST */                  \
     core_kernel_##bits *evaluate[CORE_ELEMENTWISE_COUNT]; /* in: radii in mm */                    \
     core_kernel_##bits *sample;                           /* in: cdf values; out: radii in mm */   \
     core_varying_kernel_##bits *varying[CORE_ELEMENTWISE_COUNT];                                   \
@@ -91,6 +94,12 @@ enum core_varying_argument { CORE_VARYING_RADII, CORE_VARYING_NUMBERS };
   } core_kernels_##bits;
 CORE_KERNELS_OF(f64, double)
 CORE_KERNELS_OF(f32, float)
+
+/* Apply a kernel, one of the kernels `of`, to any n: what does not fill a vector is copied into one. */
+void core_run_f64(const core_kernels_f64 *of, core_kernel_f64 *kernel, const double *coefficients,
+                  size_t n, const double *in, double *out);
+void core_run_f32(const core_kernels_f32 *of, core_kernel_f32 *kernel, const float *coefficients,
+                  size_t n, const float *in, float *out);
 
 /* The kernels of one model for one instruction set. */
 struct core_kernels {
@@ -261,8 +270,8 @@ void core_evaluate(const core_profile *profile, enum core_quantity quantity, siz
  * one that core_evaluate() accepts, and not a sum. */
 static inline void core_run_kernel(const core_profile *profile, enum core_elementwise quantity,
                                    size_t n, const double *r, double *out) {
-  profile->kernels->f64->evaluate[quantity](
-      profile->table != NULL ? profile->table : profile->coefficients.f64, n, r, out);
+  core_run_f64(profile->kernels->f64, profile->kernels->f64->evaluate[quantity],
+               profile->table != NULL ? profile->table : profile->coefficients.f64, n, r, out);
 }
 
 /* Does what core_evaluate() does for the quantity TRANSFER of models without a kernel for it. The

@@ -103,8 +103,8 @@ static void invert_cdf(const core_profile *profile, size_t n, const double *u, d
 
 static void sample(const core_profile *profile, size_t n, const double *u, double *r) {
   if (profile->parts == NULL && profile->kernels->f64->sample != NULL) {
-    profile->kernels->f64->sample(
-        profile->table != NULL ? profile->table : profile->coefficients.f64, n, u, r);
+    core_run_f64(profile->kernels->f64, profile->kernels->f64->sample,
+                 profile->table != NULL ? profile->table : profile->coefficients.f64, n, u, r);
   } else {
     invert_cdf(profile, n, u, r);
   }
@@ -118,7 +118,8 @@ void core_sample_f64(const core_profile *profile, size_t n, const double *u, dou
 void core_sample_f32(const core_profile *profile, size_t n, const float *u, float *r) {
   assert(profile->evaluator != CORE_EVALUATOR_F64);
   if (core_is_narrow(profile)) {
-    profile->kernels->f32->sample(core_coefficients_f32(profile), n, u, r);
+    core_run_f32(profile->kernels->f32, profile->kernels->f32->sample,
+                 core_coefficients_f32(profile), n, u, r);
     return;
   }
   double wide_u[CHUNK];

@@ -17,11 +17,11 @@ enum { BLOCK_LANES = 32 };
 #define BLOCK_SUM(name, terms, term)                                                               \
   static void name(const double *c, size_t n, const double *x, double *sum) {                      \
     const size_t count = terms(c);                                                                 \
-    for (size_t i = 0; i < n; i++) {                                                               \
+    for (size_t i = 0; i < CORE_WHOLE(n); i++) {                                                   \
       sum[i] = 0;                                                                                  \
     }                                                                                              \
     for (size_t k = 0; k < count; k++) {                                                           \
-      for (size_t i = 0; i < n; i++) {                                                             \
+      for (size_t i = 0; i < CORE_WHOLE(n); i++) {                                                 \
         sum[i] += term(c, k, x[i]);                                                                \
       }                                                                                            \
     }                                                                                              \
@@ -34,7 +34,7 @@ enum { BLOCK_LANES = 32 };
   static void name(const double *restrict c, size_t n, const double *restrict r,                   \
                    double *restrict out) {                                                         \
     for (size_t done = 0; done < n; done += BLOCK_LANES) {                                         \
-      const size_t count = n - done < BLOCK_LANES ? n - done : BLOCK_LANES;                        \
+      const size_t count = CORE_WHOLE(n - done < BLOCK_LANES ? n - done : BLOCK_LANES);            \
       double x[BLOCK_LANES];                                                                       \
       double sum[BLOCK_LANES];                                                                     \
       for (size_t i = 0; i < count; i++) {                                                         \

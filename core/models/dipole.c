@@ -529,7 +529,7 @@ static inline real search_end(const real *c, real u, real found) {
 enum { SEARCH_BLOCK = 64 };
 #define SEARCH(n, u, r, steps, coefficients)                                                       \
   for (size_t done = 0; done < n; done += SEARCH_BLOCK) {                                          \
-    const size_t block = n - done < SEARCH_BLOCK ? n - done : SEARCH_BLOCK;                        \
+    const size_t block = CORE_WHOLE(n - done < SEARCH_BLOCK ? n - done : SEARCH_BLOCK);            \
     real x[SEARCH_BLOCK], low[SEARCH_BLOCK], high[SEARCH_BLOCK];                                   \
     for (size_t i = 0; i < block; i++) {                                                           \
       const size_t k = done + i;                                                                   \
@@ -579,7 +579,7 @@ static inline struct distances block_get(const struct block *block, size_t i) {
 }
 
 static inline size_t block_length(size_t left) {
-  return left < BLOCK ? left : BLOCK;
+  return CORE_WHOLE(left < BLOCK ? left : BLOCK);
 }
 
 #define VIEW_KERNEL(quantity)                                                                      \
@@ -652,7 +652,7 @@ static void varying_sample(const real *restrict shared, const real *restrict wor
   const int steps = z2 > WIDE_Z2 ? SAMPLE_STEPS_WIDE : SAMPLE_STEPS;
   SEARCH(n, u, r, steps, real c[COEFFICIENTS];
          lane_fill(shared, lane_of(shared, sigma_a[k], sigma_s[k]), c);)
-  for (size_t i = 0; i < n; i++) {
+  for (size_t i = 0; i < CORE_WHOLE(n); i++) {
     const int good = lane_good(shared, sigma_a[i], sigma_s[i]) & (u[i] >= 0) & (u[i] <= 1);
     r[i] = good ? r[i] : (real)NAN;
   }

@@ -77,7 +77,7 @@ static inline double kept_radius(const double *c, double r) {
 
 /* Sets for each radius the ends in t = asinh(z / x) of the panels over the depth z. */
 static void set_edges(size_t n, const double *x, double edge[PANELS + 1][BLOCK_LANES]) {
-  for (size_t i = 0; i < n; i++) {
+  for (size_t i = 0; i < CORE_WHOLE(n); i++) {
     const double y = DEPTH / x[i];
     /* asinh(y) is less than y and less than ln(1 + 2 y). For a small y the logarithm would round to
      * 0, so y is used. */
@@ -198,7 +198,7 @@ static inline double energy_integrand(const double *c, double x, double t) {
   static void name(const double *c, size_t n, const double *x, double *sum) {                      \
     double edge[PANELS + 1][BLOCK_LANES];                                                          \
     set_edges(n, x, edge);                                                                         \
-    for (size_t i = 0; i < n; i++) {                                                               \
+    for (size_t i = 0; i < CORE_WHOLE(n); i++) {                                                   \
       sum[i] = 0;                                                                                  \
     }                                                                                              \
     for (int panel = 0; panel < PANELS; panel++) {                                                 \
@@ -207,7 +207,7 @@ static inline double energy_integrand(const double *c, double x, double t) {
       for (int k = 0; k < 2 * CORE_GAUSS_HALF; k++) {                                              \
         const double node = core_gauss_node(k);                                                    \
         const double weight = core_gauss_weight(k);                                                \
-        for (size_t i = 0; i < n; i++) {                                                           \
+        for (size_t i = 0; i < CORE_WHOLE(n); i++) {                                               \
           const double width = to[i] - from[i];                                                    \
           const double t = real_fma(width, node, from[i]);                                         \
           sum[i] = real_fma(weight * width, integrand(c, x[i], t), sum[i]);                        \
@@ -271,7 +271,7 @@ BLOCK_KERNEL(eval_cdf_closed, kept_radius, integrate_energy, finish_cdf)
 static void eval_cdf(const double *restrict c, size_t n, const double *restrict r,
                      double *restrict out) {
   if (c[KAPPA] > 0) {
-    for (size_t i = 0; i < n; i++) {
+    for (size_t i = 0; i < CORE_WHOLE(n); i++) {
       const double cdf = energy_cdf(&c[ENERGY], r[i]);
       out[i] = c[CDF_LIMIT] > 0 ? cdf : 0;
     }
@@ -357,9 +357,8 @@ static bool add_energy(const core_inputs *inputs, core_preparation *preparation)
     return false;
   }
   memcpy(table, c, ENERGY * sizeof *table);
-  core_kernel_f64 *R =
-      core_isa_kernels(inputs->isa, CORE_MODEL_BEAM)->f64->evaluate[CORE_ELEMENTWISE_R];
-  preparation->albedo = core_energy_build(R, table, first_mm, last_mm, &table[ENERGY]);
+  preparation->albedo = core_energy_build(core_isa_kernels(inputs->isa, CORE_MODEL_BEAM)->f64,
+                                          table, first_mm, last_mm, &table[ENERGY]);
   preparation->table = table;
   return true;
 }

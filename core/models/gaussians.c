@@ -139,7 +139,7 @@ static void eval_slope(const double *restrict c, size_t n, const double *restric
   double steep[BLOCK_LANES];
   eval_sum_slope(c, n, r, out);
   for (size_t done = 0; c[GAUSSIANS_LEAST_MM] > 0 && done < n; done += BLOCK_LANES) {
-    const size_t count = n - done < BLOCK_LANES ? n - done : BLOCK_LANES;
+    const size_t count = CORE_WHOLE(n - done < BLOCK_LANES ? n - done : BLOCK_LANES);
     eval_steep(c, count, r + done, steep);
     for (size_t i = 0; i < count; i++) {
       const bool below = r[done + i] < c[GAUSSIANS_LEAST_MM] && c[GAUSSIANS_LIMIT] > 0;

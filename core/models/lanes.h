@@ -159,7 +159,7 @@ static inline struct lane lane_of_medium(double *shared, int variant, enum core_
                    const real *restrict sigma_a, const real *restrict sigma_s,                     \
                    const real *restrict in, real *restrict out) {                                  \
     (void)words;                                                                                   \
-    for (size_t i = 0; i < n; i++) {                                                               \
+    CORE_FOR_LANES(i, n) {                                                                         \
       real c[coefficients];                                                                        \
       fill(shared, lane_of(shared, sigma_a[i], sigma_s[i]), c);                                    \
       const real value = element(c, in[i]);                                                        \
@@ -177,7 +177,7 @@ static inline struct lane lane_of_medium(double *shared, int variant, enum core_
                    const real *restrict r, real *restrict out, real *restrict by_a,                \
                    real *restrict by_s) {                                                          \
     (void)words;                                                                                   \
-    for (size_t i = 0; i < n; i++) {                                                               \
+    CORE_FOR_LANES(i, n) {                                                                         \
       real c[coefficients];                                                                        \
       fill(shared, lane_of(shared, sigma_a[i], sigma_s[i]), c);                                    \
       const int good = lane_good(shared, sigma_a[i], sigma_s[i]) & (r[i] >= 0);                    \

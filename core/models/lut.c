@@ -218,7 +218,7 @@ static inline float outside_radius(const float *c, float u) {
     unsigned outside = 0;                                                                          \
     _Alignas(64) float piece[BLOCK];                                                               \
     for (size_t done = 0; done < n; done += BLOCK) {                                               \
-      const size_t count = n - done < BLOCK ? n - done : BLOCK;                                    \
+      const size_t count = CORE_WHOLE(n - done < BLOCK ? n - done : BLOCK);                        \
       if (count == BLOCK) {                                                                        \
         look_up(c, key_##key, BLOCK, in + done, piece);                                            \
       } else {                                                                                     \

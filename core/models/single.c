@@ -170,7 +170,7 @@ BLOCK_KERNEL(eval_cdf, optical_radius, sum_energy, finish_cdf)
 static void eval_derivative(const double *c, size_t n, const double *r, double offset, double share,
                             double *out) {
   for (size_t done = 0; done < n; done += BLOCK_LANES) {
-    const size_t count = n - done < BLOCK_LANES ? n - done : BLOCK_LANES;
+    const size_t count = CORE_WHOLE(n - done < BLOCK_LANES ? n - done : BLOCK_LANES);
     double near[BLOCK_LANES], sum[BLOCK_LANES], fall[BLOCK_LANES];
     for (size_t i = 0; i < count; i++) {
       near[i] = begin_ln_R(c, r[done + i] + 0);

@@ -161,7 +161,7 @@ static inline real surface_radius(const real *shared, const real *words, real si
   static void name(const real *restrict shared, const real *restrict words, size_t n,              \
                    const real *restrict sigma_a, const real *restrict sigma_s,                     \
                    const real *restrict in, real *restrict out) {                                  \
-    for (size_t i = 0; i < n; i++) {                                                               \
+    CORE_FOR_LANES(i, n) {                                                                         \
       const int good =                                                                             \
           lane_good(shared, sigma_a[i], sigma_s[i]) & (in[i] >= 0) & (in[i] <= (real)(most));      \
       const real value = element(shared, words, sigma_a[i], sigma_s[i], in[i] + 0);                \
@@ -231,7 +231,7 @@ static void gradient(const double *restrict shared, const double *restrict words
                      const double *restrict sigma_a, const double *restrict sigma_s,
                      const double *restrict r, double *restrict ln_R, double *restrict by_sigma_a,
                      double *restrict by_sigma_s) {
-  for (size_t i = 0; i < n; i++) {
+  CORE_FOR_LANES(i, n) {
     const int good = lane_good(shared, sigma_a[i], sigma_s[i]) & (r[i] >= 0);
     const struct gradient found = surface_gradient(shared, words, sigma_a[i], sigma_s[i], r[i] + 0);
     const int some = good & (sigma_s[i] > 0);

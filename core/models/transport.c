@@ -805,10 +805,9 @@ static core_fault fill_table(const core_inputs *inputs, const core_medium *mediu
   }
   c[ENERGY] = (double)before_energy;
   c[BELOW] = 0;
-  core_kernel_f64 *R =
-      core_isa_kernels(inputs->isa, CORE_MODEL_TRANSPORT)->f64->evaluate[CORE_ELEMENTWISE_R];
+  const core_kernels_f64 *kernels = core_isa_kernels(inputs->isa, CORE_MODEL_TRANSPORT)->f64;
   const double energy =
-      core_energy_build(R, c, first * mfp_mm, energy_last * mfp_mm, &c[before_energy]);
+      core_energy_build(kernels, c, first * mfp_mm, energy_last * mfp_mm, &c[before_energy]);
   if (scaled) {
     /* The albedo has its own table, which is more exact than that of R. */
     set_scales(c, sigma_t_prime, preparation->albedo / energy);

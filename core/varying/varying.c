@@ -284,23 +284,46 @@ double core_varying_error(const core_varying *varying, unsigned wanted,
 #define NEAREST_MM 1e-20
 
 /* DEFINE_EVALUATE() defines evaluate_f64() and evaluate_f32(): R, CDF, PDF, RING, ALBEDO, and
- * RADIUS at a cdf. 2 pi r R is computed from R, and the density from it and the albedo. */
+ * RADIUS at a cdf. 2 pi r R is computed from R, and the density from it and the albedo. run_f64() and
+ * run_f32() apply a kernel to any n: what is left after whole vectors is copied into a vector. */
 #define DEFINE_EVALUATE(type, bits, table)                                                         \
+  static void copy_left_##bits(size_t lanes, size_t n, const type *sigma_a, const type *sigma_s,   \
+                               const type *in, type left[3][CORE_LANES_MOST]) {                    \
+    for (size_t i = 0; i < lanes; i++) {                                                           \
+      const size_t k = i < n ? i : n - 1;                                                          \
+      left[0][i] = sigma_a[k];                                                                     \
+      left[1][i] = sigma_s[k];                                                                     \
+      left[2][i] = in[k];                                                                          \
+    }                                                                                              \
+  }                                                                                                \
+                                                                                                   \
+  static void run_##bits(const core_varying *varying, core_varying_kernel_##bits *kernel,          \
+                         size_t n, const type *sigma_a, const type *sigma_s, const type *in,       \
+                         type *out) {                                                              \
+    const size_t lanes = varying->kernels->bits->lanes, whole = n & ~(lanes - 1);                  \
+    kernel(varying->shared.bits, varying->table, whole, sigma_a, sigma_s, in, out);                \
+    if (whole < n) {                                                                               \
+      type left[3][CORE_LANES_MOST], found[CORE_LANES_MOST];                                       \
+      copy_left_##bits(lanes, n - whole, sigma_a + whole, sigma_s + whole, in + whole, left);      \
+      kernel(varying->shared.bits, varying->table, lanes, left[0], left[1], left[2], found);       \
+      memcpy(out + whole, found, (n - whole) * sizeof *out);                                       \
+    }                                                                                              \
+  }                                                                                                \
+                                                                                                   \
   static void multiply_##bits(const core_varying *varying, bool density, size_t n,                 \
                               const type *sigma_a, const type *sigma_s, const type *r,             \
                               type *out) {                                                         \
     const core_kernels_##bits *kernels = varying->kernels->bits;                                   \
     type albedo[CHUNK];                                                                            \
     if (density) {                                                                                 \
-      kernels->varying_albedo(varying->shared.bits, varying->table, n, sigma_a, sigma_s, r,        \
-                              albedo);                                                             \
+      run_##bits(varying, kernels->varying_albedo, n, sigma_a, sigma_s, r, albedo);                \
     }                                                                                              \
     for (size_t i = 0; i < n; i++) {                                                               \
       type near = r[i];                                                                            \
       if (isinf(out[i])) {                                                                         \
         near = (type)NEAREST_MM;                                                                   \
-        kernels->varying[CORE_ELEMENTWISE_R](varying->shared.bits, varying->table, 1, &sigma_a[i], \
-                                             &sigma_s[i], &near, &out[i]);                         \
+        run_##bits(varying, kernels->varying[CORE_ELEMENTWISE_R], 1, &sigma_a[i], &sigma_s[i],     \
+                   &near, &out[i]);                                                                \
       }                                                                                            \
       const double R = (double)out[i] / (density ? (double)albedo[i] : 1);                         \
       out[i] = out[i] > 0 ? (type)(6.28318530717958647693 * (double)near * R) : out[i];            \
@@ -325,7 +348,7 @@ double core_varying_error(const core_varying *varying, unsigned wanted,
       const type *x = quantity == CORE_QUANTITY_ALBEDO                                             \
                           ? a                                                                      \
                           : in + done; /* ALBEDO reads no radius: any numbers from 0 on serve */   \
-      kernel(varying->shared.bits, varying->table, count, a, s, x, out + done);                    \
+      run_##bits(varying, kernel, count, a, s, x, out + done);                                     \
       if (ring) {                                                                                  \
         multiply_##bits(varying, density, count, a, s, x, out + done);                             \
       }                                                                                            \
@@ -338,9 +361,20 @@ DEFINE_EVALUATE(float, f32, words)
 void core_varying_gradient_f64(const core_varying *varying, size_t n, const double *sigma_a,
                                const double *sigma_s, const double *r, const core_gradient *out) {
   assert(varying->evaluator == CORE_EVALUATOR_F64);
-  varying->kernels->f64->varying_gradient(varying->shared.f64, varying->wide_words, n, sigma_a,
-                                          sigma_s, r, out->ln_R, out->by_ln_sigma_a,
-                                          out->by_ln_sigma_s);
+  core_varying_gradient_kernel_f64 *kernel = varying->kernels->f64->varying_gradient;
+  const size_t lanes = varying->kernels->f64->lanes, whole = n & ~(lanes - 1);
+  kernel(varying->shared.f64, varying->wide_words, whole, sigma_a, sigma_s, r, out->ln_R,
+         out->by_ln_sigma_a, out->by_ln_sigma_s);
+  if (whole < n) {
+    double left[3][CORE_LANES_MOST], found[3][CORE_LANES_MOST];
+    const size_t bytes = (n - whole) * sizeof **found;
+    copy_left_f64(lanes, n - whole, sigma_a + whole, sigma_s + whole, r + whole, left);
+    kernel(varying->shared.f64, varying->wide_words, lanes, left[0], left[1], left[2], found[0],
+           found[1], found[2]);
+    memcpy(out->ln_R + whole, found[0], bytes);
+    memcpy(out->by_ln_sigma_a + whole, found[1], bytes);
+    memcpy(out->by_ln_sigma_s + whole, found[2], bytes);
+  }
 }
 
 /* Evaluates in double precision and rounds. A cdf below 1 stays below 1. */

@@ -34,7 +34,7 @@ static double evaluate(const core_preparation *preparation, enum core_elementwis
   const struct core_kernels *kernels =
       core_isa_kernels(core_isa_select(NULL), CORE_MODEL_TRANSPORT);
   double out;
-  kernels->f64->evaluate[quantity](preparation->table, 1, &r, &out);
+  core_run_f64(kernels->f64, kernels->f64->evaluate[quantity], preparation->table, 1, &r, &out);
   return out;
 }
 
