@@ -93,7 +93,10 @@ struct grid {
   size_t like;    /* layer of which a half space is like the layers near the beam; count: none */
   double layered_most;              /* the largest k at which R is not that of this half space */
   double share;                     /* Im k over it where the path of wavenumbers starts */
-  exitance_grid wavenumbers[SIDES]; /* T has no panels where it is noise */
+  exitance_grid wavenumbers[SIDES]; /* T has further panels */
+  double passes; /* what counts of light below that was scattered once, see pass_onwards() */
+  double
+      guess[3]; /* of T: k from where on it is guessed, or 0, Im k there, and the error of k^2 T */
   exitance_series exitance[SIDES];
 };
 
@@ -218,7 +221,26 @@ enum { MORE_FROM = 2, MORE_DEGREES = 2 };
 #define NOISE_RISES 1.3
 #define NOISE_FROM 2.0
 enum { NOISE_NODES = 2 };
+
+/* Light that is deflected little, see pass_onwards(), and T agree within NOISE_ONWARDS before noise
+ * begins, and the error of the former beyond is UNSURE or less. It counts from ONWARDS_LEAST times the
+ * largest k^2 T on, and where the mean depth of a wave is below 1 if T is up to ONWARDS_COUNTS times
+ * as large. T's wavenumbers go on to ONWARDS_MOST times that at which as much is scattered once as
+ * not. What T has beside it is fitted from FITTED_FROM of the last wavenumber on, and falls at least
+ * as k^-FALLS_LEAST there. */
+#define NOISE_ONWARDS 0.15
+#define UNSURE 0.05
+#define ONWARDS_LEAST 0.02
+#define ONWARDS_COUNTS 2
+#define ONWARDS_MOST 3
+#define FITTED_FROM 0.4
+#define FALLS_LEAST 2
+#define BEAM_LEAST 1e-200
+#define ONWARDS_DIGITS 1e3 /* times T at most, so that their difference keeps T's digits */
 #define PATH_RATE_LEAST 1e-9
+
+/* Over this, the last wavenumbers of R and of T are the same. */
+#define LAST_ALIKE (1 - 1e-6)
 
 /* Returns the optical depth of layer `first`, including adjacent layers with the same medium. */
 static double depth_from(const struct grid *of, const struct solver_layers *all, size_t first) {
@@ -304,7 +326,7 @@ static bool place_wavenumbers(struct grid *to, const struct solver_layers *of, c
   const size_t nodes = by->nodes + (of->sides > 1 && by >= &levels[MORE_FROM]);
   solver_exitance_place(above, NULL, to->rate, share, rises * all_least, nodes, end);
   *below = *above;
-  while (below->tier_end[TIERS - 1] < last) {
+  while (below->tier_end[TIERS - 1] < LAST_ALIKE * last) {
     const double next = 2 * below->tier_end[TIERS - 1];
     below->tier_end[TIERS - 1] = next > 0.7 * last ? last : next;
     below->point[below->panels + 1] =
@@ -314,50 +336,159 @@ static bool place_wavenumbers(struct grid *to, const struct solver_layers *of, c
   return true;
 }
 
-/* k^2 T falls from its peak on, where it crosses thick layers as e^(-k thickness). Where it rises
- * again, it is smaller than what the functions of angle do not resolve: *to is set to the panels up
- * to there, T falls on as before in the last one, and true is returned. Below NOISE_FROM over the
- * thickness, the pole of light far away has k^2 T fall and rise. */
-static bool cut_noise(exitance_grid *to, const exitance_grid *all, double thickness,
-                      double complex *values) {
-  double most = 0, least = 0;
-  size_t at = 0;
-  bool rises = false;
-  for (size_t node = 0; node < all->panels * all->nodes && !rises; node++) {
-    const double complex k = solver_exitance_wavenumber(all, node);
-    const double size = fn_abs(values[node]) * fn_norm2(k);
-    const bool fell = least < NOISE_BELOW * most;
-    const bool peaks = creal(k) * thickness < NOISE_FROM || (size > most && !fell);
-    rises = !peaks && fell && least > 0 && size > NOISE_RISES * least;
-    most = peaks ? size : most;
-    if (peaks || size <= least) {
-      least = size;
-      at = node;
-    }
-  }
-  *to = *all;
-  if (rises) {
-    to->panels = at / all->nodes + 1;
-    to->tier_end[TIERS - 1] = creal(to->point[to->panels]);
-    /* The least values have noise in them. */
-    const size_t last = at < 2 * NOISE_NODES ? at : at - NOISE_NODES;
-    const size_t before = last < NOISE_NODES ? 0 : last - NOISE_NODES;
-    const double complex k = solver_exitance_wavenumber(all, last);
-    const double complex way = k - solver_exitance_wavenumber(all, before);
-    const double complex falls =
-        fn_clog(values[before] * fn_inverse(values[last])) * fn_inverse(way);
-    for (size_t node = last + 1; node < to->panels * all->nodes; node++) {
-      values[node] = values[last] * fn_cexp(-falls * (solver_exitance_wavenumber(all, node) - k));
-    }
-  }
-  return rises;
-}
-
 /* Returns the beam at the foot of the last layer; 0 for a half space. */
 static double arriving_beam(const ways *of) {
   const stack_layer *last = &of->layer[of->layers - 1];
   return of->down[of->layers - 1][of->reflections_most] *
          fn_exp(-last->extinction * last->thickness);
+}
+
+/* Sets onwards[] to light that is deflected little each time it is scattered, and more than once: what
+ * leaves has passed e^x times as much as the beam, where x of it is scattered once. `far`, the limit of
+ * k^2 T, replaces that of what is scattered twice. What of a phase function counts as unscattered is
+ * so neither near the beam: to->passes is set to the part of the beam that is left without it, and the
+ * light that it scatters once beyond that is added to T[]. T's wavenumbers go on, if there is room, to
+ * where little is scattered more than twice. */
+static void pass_onwards(struct grid *to, const struct solver_layers *all, double far,
+                         double complex *onwards, double complex *T) {
+  exitance_grid *grid = &to->wavenumbers[1];
+  const stack_layer *last = &to->layer[all->count - 1];
+  const double beam =
+      arriving_beam(&to->ways) * (1 - solver_beam_reflectance(last->index, all->eta_below));
+  double peak = 0;
+  for (size_t i = 0; i < all->count; i++) {
+    const solver_layer *layer = &all->layer[i];
+    peak += layer->thickness_mm * (layer->sigma_a_per_mm + layer->sigma_s_per_mm) -
+            to->layer[i].thickness * to->layer[i].extinction;
+  }
+  to->passes = fn_exp(-peak);
+  if (beam < BEAM_LEAST) {
+    return;
+  }
+  const double limit = creal(solver_ways_onwards(&to->ways, (double)INFINITY));
+  const double twice = far - 0.5 * beam * limit * limit;
+  const size_t solved = grid->panels * grid->nodes;
+  double most = 0;
+  for (size_t node = 0; node < solved; node++) {
+    most = fmax(most, fn_norm2(solver_exitance_wavenumber(grid, node)) * fn_abs(T[node]));
+  }
+  while (grid->panels < EXITANCE_PANELS_MAX &&
+         creal(grid->point[grid->panels]) < ONWARDS_MOST * limit) {
+    const double complex end = grid->point[grid->panels];
+    grid->point[++grid->panels] = CMPLX(2 * creal(end), cimag(end));
+  }
+  for (size_t node = 0; node < grid->panels * grid->nodes; node++) {
+    const double complex k = solver_exitance_wavenumber(grid, node);
+    const double complex x = solver_ways_onwards(&to->ways, k);
+    onwards[node] = to->passes * (beam * (fn_cexp(x) - 1 - x) + twice * fn_inverse(1 + k * k));
+    T[node] += (1 - to->passes) * beam * x;
+  }
+  to->guess[2] =
+      fn_norm2(solver_exitance_wavenumber(grid, solved - 1)) * fn_abs(onwards[solved - 1]);
+  if (to->guess[2] < ONWARDS_LEAST * most) {
+    grid->panels = solved / grid->nodes;
+    memset(onwards, 0, solved * sizeof *onwards);
+  }
+  for (size_t node = 0; node < solved; node++) {
+    /* small wavenumbers of thick layers */
+    const bool is_most = !(fn_abs(onwards[node]) <= ONWARDS_DIGITS * fn_abs(T[node]));
+    onwards[node] = is_most ? 0 : onwards[node];
+    T[node] -= onwards[node];
+  }
+}
+
+/* Returns the part of `onwards` at k that T - onwards is, where `last` is the last wavenumber known. */
+static double complex like_onwards(const double complex like[2], double complex k,
+                                   double complex last) {
+  const double complex ratio = last * fn_inverse(k);
+  return ratio * (like[0] + like[1] * ratio);
+}
+
+/* Fits like_onwards() by least squares to nodes of the last wavenumbers. T: without `onwards`. */
+static void fit_onwards(const exitance_grid *all, size_t last, const double complex *onwards,
+                        const double complex *T, double complex like[2]) {
+  const double complex k_last = solver_exitance_wavenumber(all, last);
+  double complex mixed = 0, right[2] = {0, 0};
+  double square[2] = {0, 0};
+  for (size_t node = last + 1; node-- > 0;) {
+    const double complex k = solver_exitance_wavenumber(all, node);
+    if (creal(k) < FITTED_FROM * creal(k_last)) {
+      break;
+    }
+    const double complex ratio = k_last * fn_inverse(k);
+    const double complex one = ratio * onwards[node], two = ratio * one;
+    square[0] += fn_norm2(one);
+    square[1] += fn_norm2(two);
+    mixed += conj(one) * two;
+    right[0] += conj(one) * T[node];
+    right[1] += conj(two) * T[node];
+  }
+  const double determinant = square[0] * square[1] - fn_norm2(mixed);
+  if (determinant > 0) {
+    like[0] = (square[1] * right[0] - mixed * right[1]) / determinant;
+    like[1] = (square[0] * right[1] - conj(mixed) * right[0]) / determinant;
+  }
+}
+
+/* k^2 T falls from its peak on, where it crosses thick layers as e^(-k thickness). Where it rises
+ * again, it is smaller than what the functions of angle do not resolve: it falls on as before from
+ * there, or from the last of `solved` nodes. Below NOISE_FROM over the thickness, the pole of light far
+ * away has k^2 T fall and rise. T: without `onwards`, which has no noise and is added. */
+static void cut_noise(struct grid *to, double thickness, double depth, size_t solved,
+                      const double complex *onwards, double complex *T) {
+  exitance_grid *all = &to->wavenumbers[1];
+  double most = 0, least = 0;
+  size_t at = 0;
+  bool rises = false, fell = false;
+  for (size_t node = 0; node < solved && !rises; node++) {
+    const double complex k = solver_exitance_wavenumber(all, node);
+    const double size = fn_abs(T[node]) * fn_norm2(k);
+    const double known = NOISE_ONWARDS * fn_abs(onwards[node]) * fn_norm2(k);
+    const double crossed = creal(k) * thickness;
+    const bool first =
+        crossed < NOISE_FROM || (crossed < depth && NOISE_ONWARDS * size < ONWARDS_COUNTS * known);
+    fell = !first && (fell || least < NOISE_BELOW * most || size < known);
+    rises = fell && least > 0 && size > NOISE_RISES * fmax(least, known);
+    most = first ? size : fmax(most, size);
+    if (!fell || size <= fmax(least, known)) {
+      least = size;
+      at = node;
+    }
+  }
+  if (rises || fn_abs(T[solved - 1]) < fn_abs(onwards[solved - 1])) {
+    /* The least values have noise in them. */
+    const size_t last = !rises ? solved - 1 : at < 2 * NOISE_NODES ? at : at - NOISE_NODES;
+    const size_t before = last < NOISE_NODES ? 0 : last - NOISE_NODES;
+    const double complex k = solver_exitance_wavenumber(all, last);
+    const double complex way = k - solver_exitance_wavenumber(all, before);
+    double complex like[2] = {0, 0};
+    if (fn_abs(T[last]) < fn_abs(onwards[last])) {
+      fit_onwards(all, last, onwards, T, like);
+    }
+    const double complex here = T[last] - like_onwards(like, k, k) * onwards[last];
+    const double complex there =
+        T[before] -
+        like_onwards(like, solver_exitance_wavenumber(all, before), k) * onwards[before];
+    const double falls =
+        fmax(creal(fn_clog(there * fn_inverse(here)) * fn_inverse(way)), FALLS_LEAST / creal(k));
+    to->guess[0] = creal(k);
+    to->guess[1] = cimag(k);
+    const double left_out = onwards[last] == 0 ? to->guess[2] : 0;
+    to->guess[2] = left_out +
+                   fn_norm2(k) * (UNSURE * fn_abs(onwards[last]) + fn_abs(T[last] - here)) +
+                   creal(k) / falls * fn_abs(here);
+    for (size_t node = last + 1; node < all->panels * all->nodes; node++) {
+      const double complex to_there = solver_exitance_wavenumber(all, node);
+      T[node] =
+          here * fn_cexp(-falls * (to_there - k)) + like_onwards(like, to_there, k) * onwards[node];
+    }
+  } else {
+    all->panels = solved / all->nodes;
+  }
+  all->tier_end[TIERS - 1] = creal(all->point[all->panels]);
+  for (size_t node = 0; node < all->panels * all->nodes; node++) {
+    T[node] += onwards[node];
+  }
 }
 
 /* Near the beam, light in layers is that of a half space, which more functions of angle resolve than
@@ -459,15 +590,16 @@ static bool solve_grid(struct grid *to, const struct solver_layers *of, const co
   if (!place_wavenumbers(to, of, isa, by)) {
     return false;
   }
-  const size_t nodes = solver_exitance_end(&to->wavenumbers[1], TIERS - 1);
+  enum { nodes = EXITANCE_PANELS_MAX * EXITANCE_NODES_MAX };
   double complex *values = calloc((SIDES + 1) * nodes, sizeof *values);
   bool ok = values != NULL;
   for (size_t tier = 0; tier < TIERS && ok; tier++) {
     ok = solve_tier(to, of, isa, by, tier, values, nodes, stop);
   }
-  double thickness = 0;
+  double thickness = 0, depth = 0;
   for (size_t i = 0; i < of->count; i++) {
     thickness += to->layer[i].thickness;
+    depth += to->layer[i].extinction * to->layer[i].thickness;
   }
   for (size_t side = 0; side < SIDES && ok; side++) {
     const bool above = side == 0, alike = above && to->like < of->count;
@@ -475,14 +607,19 @@ static bool solve_grid(struct grid *to, const struct solver_layers *of, const co
     const solver_layer *layer = &of->layer[i];
     const solver_phase phase = {.g = layer->g};
     const double arrives = above ? 1 : arriving_beam(&to->ways);
-    const double far = arrives * solver_far(layer->sigma_s_per_mm * to->unit_mm, &phase,
-                                            layer->eta / (above ? 1 : of->eta_below), 1, !above);
-    exitance_grid *grid = &to->wavenumbers[side];
-    grid->isa = isa;
-    const exitance_grid all = *grid;
-    const bool cut = !above && cut_noise(grid, &all, thickness, values + nodes);
-    const double complex *all_values = values + side * nodes;
-    ok = solver_exitance_make(&to->exitance[side], grid, !cut, cut ? 0 : far,
+    double far = arrives * solver_far(layer->sigma_s_per_mm * to->unit_mm, &phase,
+                                      layer->eta / (above ? 1 : of->eta_below), 1, !above);
+    double complex *all_values = values + side * nodes;
+    to->wavenumbers[side].isa = isa;
+    if (!above && of->sides > 1) {
+      double complex *onwards = values + SIDES * nodes;
+      const size_t solved = solver_exitance_end(&to->wavenumbers[1], TIERS - 1);
+      memset(onwards, 0, nodes * sizeof *onwards);
+      pass_onwards(to, of, far, onwards, all_values);
+      cut_noise(to, thickness, depth, solved, onwards, all_values);
+      far *= to->passes;
+    }
+    ok = solver_exitance_make(&to->exitance[side], &to->wavenumbers[side], true, far,
                               solver_peak_at(&phase) * to->layer[i].extinction,
                               alike && i == 0 ? values + SIDES * nodes : all_values, all_values);
   }
@@ -493,7 +630,7 @@ static bool solve_grid(struct grid *to, const struct solver_layers *of, const co
 /* Returns R or T. *size is set to how much of it would be there if nothing cancelled. */
 static double value_at(const struct grid *of, size_t side, double r_mm, double *size) {
   const double r = r_mm / of->unit_mm, area = of->unit_mm * of->unit_mm;
-  const double value = solver_ways_at(&of->ways, side, r) +
+  const double value = (side == 0 ? 1 : of->passes) * solver_ways_at(&of->ways, side, r) +
                        solver_exitance_at(&of->exitance[side], &of->wavenumbers[side], r, size);
   *size /= area;
   return value / area;
@@ -556,10 +693,6 @@ core_fault solver_layers_check(const solver_layer *layer, size_t count, double e
 /* Below this many times 1 / K, R and T are made of waves beyond K, which both grids guess. */
 #define GUESSED 4.0
 
-/* Behind layers T is noise beyond a smaller K than R is, and no grid sees there what is scattered a
- * second time near the beam. T lacked up to .7 of what is scattered once. */
-#define SCATTERED_AGAIN 2.0
-
 /* Without a half space up to so many reduced mean free paths, and under an upper medium of less depth, which guides waves
  * beyond K, the grids' difference oscillates with the radius: so many radii are compared from each
  * stated one to the next. Only of guided waves would a finer grid have less of this. */
@@ -587,7 +720,6 @@ static void find_errors(solver_layers *of, double worst[SIDES]) {
   for (size_t side = 0; side < of->sides; side++) {
     const exitance_grid *known = &fine->wavenumbers[side];
     const double guessed = GUESSED / creal(known->point[known->panels]);
-    const bool is_cut = known->panels < fine->wavenumbers[0].panels;
     double size, above = 0, seen = 0, r = SOLVER_ERROR_LEAST;
     for (size_t i = 1; i < SOLVER_ERROR_RADII; i++) {
       r *= SOLVER_ERROR_RATIO;
@@ -604,10 +736,12 @@ static void find_errors(solver_layers *of, double worst[SIDES]) {
         error = fmax(error, off);
         some = j < counted ? fmax(some, off) : some;
       }
-      if (is_cut && units < guessed) {
-        const double once = solver_ways_at(&fine->ways, side, units);
+      if (side == 1 && fine->guess[0] > 0) {
+        const double x = fine->guess[0] * units;
+        const double missed = fn_log(1 + 1 / (x * x * sqrt(x))) * fn_exp(-fine->guess[1] * units) *
+                              fine->guess[2] / (2 * FN_PI);
         const double area = fine->unit_mm * fine->unit_mm;
-        error = fmax(error, SCATTERED_AGAIN * once / (area * value_at(fine, side, r_mm, &size)));
+        error = fmax(error, missed / (area * value_at(fine, side, r_mm, &size)));
       }
       above = fmax(error, units < guessed ? above : 0);
       seen = fmax(some, units < guessed ? seen : 0);

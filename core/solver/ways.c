@@ -224,6 +224,70 @@ static double light_at(const ways *of, const ways_path *way, double u, double r)
   return mu * mu * own->sigma_s / (4 * FN_PI) * lit * passes;
 }
 
+/* Returns the mean over phi of int e^(-(excess h + i k (own h + lateral) cos(phi))) dh, h from 0 to
+ * `thickness`. */
+static double complex mean_wave(double complex k, double excess, double own, double lateral,
+                                double thickness) {
+  enum { NODES = 16, NODES_MOST = 96 };
+  const double turns = fn_abs(k) * (own * thickness + lateral);
+  const size_t nodes = turns < NODES_MOST - NODES ? NODES + (size_t)turns : NODES_MOST;
+  double complex sum = 0;
+  for (size_t i = 0; i < nodes; i++) {
+    double sine, cosine;
+    fn_sincos(FN_PI * ((double)i + 0.5) / (double)nodes, &sine, &cosine);
+    const double complex wave = CMPLX(0, cosine) * k, rate = excess + own * wave;
+    const double complex depth = rate * thickness;
+    const double complex passed = fn_norm2(depth) < 1e-8 ? thickness * (1 - 0.5 * depth)
+                                                         : (1 - fn_cexp(-depth)) * fn_inverse(rate);
+    sum += fn_cexp(-lateral * wave) * passed;
+  }
+  return sum / (double)nodes;
+}
+
+double complex solver_ways_onwards(const ways *of, double complex k) {
+  enum { PANELS = 25, NODES = 6 };
+  static const double widening = 1.33;
+  gauss_rule rule;
+  transport_gauss(&rule, NODES);
+  double complex sum = 0;
+  for (size_t i = isinf(creal(k)) ? of->layers - 1 : 0; i < of->layers; i++) {
+    const stack_layer *own = &of->layer[i];
+    const solver_phase phase = {.g = own->g};
+    double end = 0.5 * FN_PI;
+    for (size_t panel = 0; panel < PANELS; panel++) {
+      const double begin = panel + 1 < PANELS ? end / widening : 0;
+      for (size_t node = 0; node < rule.n; node++) {
+        double sine, cosine;
+        fn_sincos(begin + (end - begin) * rule.x[node], &sine, &cosine);
+        const struct ray ray = ray_at(of, i, sine / cosine);
+        double depth = 0, lateral = 0, passes = 1;
+        for (size_t j = i + 1; j <= of->layers; j++) {
+          const double mu1 = ray.mu[j], mu2 = ray.mu[j + 1];
+          const double eta = index_of(of, (ptrdiff_t)j - 1) / index_of(of, (ptrdiff_t)j);
+          passes *= eta == 1 ? 1
+                    : mu1 > 0 && mu2 > 0
+                        ? transport_transmittance(eta, mu1, mu2) / (1 - reflectance(of, j))
+                        : 0;
+          if (j < of->layers && passes > 0) {
+            depth += of->layer[j].extinction * of->layer[j].thickness * (1 / mu2 - 1);
+            lateral += of->layer[j].thickness * sqrt((1 - mu2) * (1 + mu2)) / mu2;
+          }
+        }
+        if (passes > 0) {
+          const double complex wave = isinf(creal(k))
+                                          ? cosine / sine
+                                          : mean_wave(k, own->extinction * (1 / cosine - 1),
+                                                      sine / cosine, lateral, own->thickness);
+          sum += (end - begin) * rule.weight[node] * 0.5 * sine * own->sigma_s *
+                 solver_phase_at(&phase, cosine) * passes * fn_exp(-depth) * wave;
+        }
+      }
+      end = begin;
+    }
+  }
+  return sum;
+}
+
 #define U_MOST 21.0
 #define PANEL_FIRST 0.02
 #define PANEL_MOST 0.3

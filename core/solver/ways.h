@@ -2,6 +2,7 @@
 #ifndef DIPOLED_CORE_SOLVER_WAYS_H
 #define DIPOLED_CORE_SOLVER_WAYS_H
 
+#include <complex.h>
 #include <stdbool.h>
 #include <stddef.h>
 
@@ -39,5 +40,10 @@ void solver_ways_find(ways *to, const stack_layer *layer, size_t layers, double 
 /* Returns R (side 0) or T (side 1) of light scattered once, at the radius r > 0, per squared unit
  * of length and per power that entered. */
 double solver_ways_at(const ways *of, size_t side, double r);
+
+/* Returns the light scattered once that leaves below without a reflection, Fourier transformed over
+ * the plane, over the beam that leaves with it. No layer is a half space. k: infinite for the limit
+ * of k times this. */
+double complex solver_ways_onwards(const ways *of, double complex k);
 
 #endif

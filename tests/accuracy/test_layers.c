@@ -171,6 +171,26 @@ UNIT_TEST(light_scattered_twice_behind_deep_layers_is_stated) {
   solver_layers_free(solution);
 }
 
+/* T as walked by 6e7 photons in rings about 0.0956 and 0.0739 mm. */
+UNIT_TEST(light_deflected_little_behind_deep_layers_is_found) {
+  static const solver_layer peaked[] = {{0.02, 1.98, 0.6, 1.5, 0.7345},
+                                        {0.01, 0.99, 0, 1.5, 0.8434},
+                                        {0.01, 0.99, 0, 1.5, 2.51},
+                                        {0.01, 0.49, 0.95, 1.5, 2.265}};
+  static const solver_layer matched[] = {
+      {0.1, 0.9, 0.8, 1.5, 4.58}, {0.02, 0.98, 0.9, 1.5, 1.415}, {0.1, 0.9, 0.6, 1.5, 1.172}};
+  solver_layers *solution = solved(peaked, 4, 1);
+  transport_number T = solver_layers_at(solution, 1, 0.09562);
+  assert_true(fabs(T.value - 0.029483) <= T.error + 3 * 0.00019);
+  assert_true(T.error < 0.06 * T.value);
+  solver_layers_free(solution);
+  solution = solved(matched, 3, 1.5);
+  T = solver_layers_at(solution, 1, 0.07391);
+  assert_true(fabs(T.value - 0.020519) <= T.error + 3 * 0.00019);
+  assert_true(T.error < 0.2 * T.value);
+  solver_layers_free(solution);
+}
+
 /* van de Hulst 1980: albedo 0.9, depth 2, g 0.75, equal indices. */
 UNIT_TEST(a_slab_is_that_of_van_de_hulst) {
   static const solver_layer slab = {0.2, 1.8, 0.75, 1, 1};
