@@ -22,8 +22,8 @@ typedef struct cli_table {
 } cli_table;
 
 /* Adds the next cell. */
-__attribute__((format(printf, 2, 3))) static void add_cell(cli_table *table, const char *format,
-                                                           ...) {
+__attribute__((format(printf, 2, 3), nonnull)) static void add_cell(cli_table *table,
+                                                                    const char *format, ...) {
   va_list arguments;
   va_start(arguments, format);
   const int length = vsnprintf(NULL, 0, format, arguments);
