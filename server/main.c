@@ -393,8 +393,11 @@ static bool is_ignored(int signal_number) {
   return sigaction(signal_number, NULL, &action) == 0 && action.sa_handler == SIG_IGN;
 }
 
-static void set_up_loop(struct daemon *daemon) {
-  uv_loop_init(&daemon->loop);
+static bool set_up_loop(struct daemon *daemon) {
+  const int error = uv_loop_init(&daemon->loop);
+  if (error != 0) {
+    return complain("loop", uv_strerror(error));
+  }
   uv_async_init(&daemon->loop, &daemon->server.inherited_closed, on_inherited_closed);
   daemon->server.inherited_closed.data = daemon;
   for (size_t i = 0; i < STOP_SIGNALS; i++) {
@@ -404,6 +407,7 @@ static void set_up_loop(struct daemon *daemon) {
       uv_signal_start(&daemon->signals[i], on_signal, stop_signals[i]);
     }
   }
+  return true;
 }
 
 static bool set_log_level(const struct options *options) {
@@ -437,13 +441,15 @@ static int run_daemon(struct daemon *daemon) {
   }
   server->buffers.most = server->options.max_total_bytes;
   signal(SIGPIPE, SIG_IGN);
+  raise_descriptor_limit();
+  if (!set_up_loop(daemon)) {
+    return EXIT_FAILURE;
+  }
   const int error = log_start();
   if (error != 0) {
     complain("log", strerror(error));
     return EXIT_FAILURE;
   }
-  raise_descriptor_limit();
-  set_up_loop(daemon);
   daemon->ready = start_services(daemon);
   if (daemon->ready) {
     log_line(LOG_LEVEL_INFO, "event=ready workers=%llu isa=%s",

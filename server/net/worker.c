@@ -1,6 +1,7 @@
 #include "server/net/worker.h"
 
 #include <assert.h>
+#include <errno.h>
 #include <sys/prctl.h>
 #include <sys/timerfd.h>
 #include <unistd.h>
@@ -332,12 +333,16 @@ static void thread_main(void *argument) {
   close(worker->clock_fd);
 }
 
-static int set_up_handles(struct worker *worker) {
+static int start_clock(struct worker *worker) {
   const struct timespec tick = {.tv_nsec =
                                     (long)clock_period_ms(&worker->server->options) * 1000000};
   const struct itimerspec ticks = {tick, tick};
   worker->clock_fd = timerfd_create(CLOCK_MONOTONIC, TFD_NONBLOCK | TFD_CLOEXEC);
-  timerfd_settime(worker->clock_fd, 0, &ticks, NULL);
+  const bool set = worker->clock_fd >= 0 && timerfd_settime(worker->clock_fd, 0, &ticks, NULL) == 0;
+  return set ? 0 : uv_translate_sys_error(errno);
+}
+
+static int set_up_handles(struct worker *worker) {
   uv_prepare_init(&worker->loop, &worker->before_poll);
   uv_check_init(&worker->loop, &worker->after_poll);
   uv_idle_init(&worker->loop, &worker->stay_awake);
@@ -362,7 +367,8 @@ int worker_open(struct worker *worker, struct server *server) {
   worker->context.loop = &worker->loop;
   worker->context.latency = &server->latencies[worker - server->workers];
   profiles_init(&worker->context.profiles, server, wake, worker);
-  int error = uv_mutex_init(&worker->mutex);
+  int error = start_clock(worker);
+  error = error != 0 ? error : uv_mutex_init(&worker->mutex);
   error = error != 0 ? error : uv_loop_init(&worker->loop);
   error = error != 0 ? error : uv_async_init(&worker->loop, &worker->wake, on_wake);
   if (error == 0) {

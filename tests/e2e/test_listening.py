@@ -353,3 +353,21 @@ def test_closed_standard_streams_are_nobody_elses(folder, closing):
         process.terminate()
     process.communicate(timeout=END_S)
     assert process.returncode == 0
+
+
+def test_a_daemon_that_lacks_descriptors_says_so():
+    """Below 6 descriptors, libuv itself ends the process."""
+    for limit in range(6, 64):
+        ours, theirs = socket.socketpair()
+        ours.close()
+        with theirs:
+            ended = finished(
+                "prlimit", f"--nofile={limit}:{limit}", PROGRAM, "--fd", "0", "--log-level", "error",
+                "--workers", "2", "--metrics", "127.0.0.1:0", "--http", "127.0.0.1:0",
+                stdin=theirs, env=environment(ASAN_OPTIONS="detect_leaks=0"),  # that opens files
+            )  # fmt: skip
+        if ended.returncode == 0:
+            break
+        assert ended.returncode == 1, (limit, ended)
+        assert re.fullmatch(r"dipoled: .*(oo many open files|does not start).*\n", ended.stderr), ended
+    assert ended.returncode == 0 and limit > 6
