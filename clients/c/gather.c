@@ -431,6 +431,7 @@ struct home {
   uint32_t places[HOME_QUERIES];             /* 0, 1, ... */
   double M[HOME_QUERIES * CORE_GATHER_CHANNELS_MAX];
   float bound[HOME_QUERIES * CORE_GATHER_CHANNELS_MAX];
+  core_gather_visits visits;
 };
 
 static bool fail_fault(const core_fault *fault, dipole_error *error) {
@@ -494,7 +495,6 @@ static bool gather_home(struct home *home, uint64_t query_count, const double *q
   const uint32_t *order = home->order + result->computed_count;
   const uint64_t left = query_count - result->computed_count;
   const size_t n = left < HOME_QUERIES ? (size_t)left : HOME_QUERIES;
-  core_gather_visits visits = {0};
   bool wanted = true;
   for (size_t i = 0; i < n; i++) {
     home->places[i] = (uint32_t)i;
@@ -504,7 +504,7 @@ static bool gather_home(struct home *home, uint64_t query_count, const double *q
   while (wanted && done < n) {
     double work = HOME_WORK;
     done += core_gather_on(home->sum, home->points, home->scratch, n - done, home->places + done,
-                           home->queries[0], home->M, home->bound, &visits, &work);
+                           home->queries[0], home->M, home->bound, &home->visits, &work);
     wanted = progress == NULL || progress(context, result->computed_count + done, query_count);
   }
   for (size_t i = 0; i < done; i++) {
@@ -514,12 +514,11 @@ static bool gather_home(struct home *home, uint64_t query_count, const double *q
     result->bound = fmax(result->bound, (double)home->bound[i]);
   }
   for (uint32_t c = 0; c < channels; c++) {
-    const double own = core_gather_error(home->sum, home->points, c, done, home->queries[0]);
-    result->numerical_error[c] = fmax(result->numerical_error[c], own);
+    result->numerical_error[c] = core_gather_error(home->sum, home->points, c, &home->visits);
   }
   result->computed_count += done;
-  result->points_visited += visits.points;
-  result->nodes_visited += visits.nodes;
+  result->points_visited = home->visits.points;
+  result->nodes_visited = home->visits.nodes;
   return wanted;
 }
 

@@ -86,12 +86,17 @@ double core_gather_cost(const core_gather_sum *sum, const core_gather_points *po
 
 /* ---- gathering ------------------------------------------------------------------------------- */
 
-/* What was visited; calls add to it. */
+/* What was visited; calls add to it. Before the first one it is all 0. */
 typedef struct core_gather_visits {
-  uint64_t queries;
-  uint64_t nodes;  /* nodes that stood for their points */
-  uint64_t points; /* points that were summed one by one */
-  uint64_t tested; /* nodes whose bound was computed */
+  uint64_t queries; /* whose sums are known */
+  uint64_t nodes;   /* nodes that stood for their points */
+  uint64_t points;  /* points that were summed one by one */
+  uint64_t tested;  /* nodes whose bound was computed */
+  /* Unless there are no queries, a lower bound of the distance from any of them to a point with power
+   * (INFINITY if there is none), and the least sum, for each channel: */
+  double nearest_mm[CORE_GATHER_CHANNELS_MAX];
+  double dimmest[CORE_GATHER_CHANNELS_MAX]; /* W/mm^2 */
+  double farthest_mm;                       /* no point is farther from any query */
 } core_gather_visits;
 
 /* Working memory of one thread, some ten megabytes. */
@@ -130,17 +135,17 @@ void core_gather(const core_gather_sum *sum, const core_gather_points *points,
  * the first ones; the next call gets the queries behind them, with the same M and bound. It reduces
  * *work by what was done, which ends below 0 by at most one block of 512 points, or by the making of
  * one list: for eight channels and the smallest tolerances some ten milliseconds' worth. The values
- * have the same bits wherever calls stop. A query that is under way is not in visits->queries. */
+ * have the same bits wherever calls stop. */
 size_t core_gather_on(const core_gather_sum *sum, const core_gather_points *points,
                       core_gather_scratch *scratch, size_t n, const uint32_t *order,
                       const double *xyz, double *M, float *bound, core_gather_visits *visits,
                       double *work);
 
 /* The relative error of M that comes from the profile of a channel itself and from rounding: M is
- * within bound + core_gather_error() of the sum over the model's exact formula. queries[3 n]: the
- * queries, of which only the farthest counts. */
+ * within bound + core_gather_error() of the sum over the model's exact formula, at each query of these
+ * visits. The nearest point, the farthest and the dimmest sum count. 0 without queries or light. */
 double core_gather_error(const core_gather_sum *sum, const core_gather_points *points,
-                         size_t channel, size_t n, const double *xyz);
+                         size_t channel, const core_gather_visits *visits);
 
 /* The model's error that is stated for a channel with these errors: that of R at 0.01 to 20 mean free
  * paths. NAN: it is not known. */

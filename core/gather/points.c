@@ -490,11 +490,6 @@ static void divide_moments(gather_moments *sum, double weight) {
   }
 }
 
-static double distance(const double a[3], const double b[3]) {
-  const double x = a[0] - b[0], y = a[1] - b[1], z = a[2] - b[2];
-  return sqrt(x * x + y * y + z * z);
-}
-
 static void leaf_moments(const core_gather_points *points, const gather_node *node,
                          const float *power, gather_moments *m) {
   static const gather_moments none = {.radius_mm = 0};
@@ -539,7 +534,7 @@ static void inner_moments(const core_gather_points *points, const gather_node *n
     const gather_moments *one = &part[i * points->groups];
     const double d[3] = {one->at[0] - m->at[0], one->at[1] - m->at[1], one->at[2] - m->at[2]};
     add_moments(m, power[i * points->channels], one, d);
-    m->radius_mm = fmax(m->radius_mm, distance(one->at, m->at) + one->radius_mm);
+    m->radius_mm = fmax(m->radius_mm, gather_distance(one->at, m->at) + one->radius_mm);
   }
   divide_moments(m, weight);
 }
@@ -796,7 +791,7 @@ static gather_cell cell_of_cube(gather_cell cube, const double x[3]) {
   for (int k = 0; k < 3; k++) {
     cube.at[k] += 0.5 * cube.edge_mm;
   }
-  cube.radius_mm = fmax(distance(cube.at, x), HALF_DIAGONAL * cube.edge_mm);
+  cube.radius_mm = fmax(gather_distance(cube.at, x), HALF_DIAGONAL * cube.edge_mm);
   return cube;
 }
 

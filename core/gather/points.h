@@ -6,6 +6,8 @@
 #ifndef DIPOLED_CORE_GATHER_POINTS_H
 #define DIPOLED_CORE_GATHER_POINTS_H
 
+#include <math.h>
+
 #include "core/gather/gather.h"
 
 /* The largest number of points of a leaf. */
@@ -64,6 +66,11 @@ typedef struct gather_cell {
   double radius_mm;
   double edge_mm;
 } gather_cell;
+
+static inline double gather_distance(const double a[3], const double b[3]) {
+  const double x = a[0] - b[0], y = a[1] - b[1], z = a[2] - b[2];
+  return sqrt(x * x + y * y + z * z);
+}
 
 /* Returns the cell of a query. It depends only on the points and the query. Inside a small node it
  * is the cube of the largest node with up to 80 points that contains the query. Between small nodes

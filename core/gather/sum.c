@@ -205,7 +205,10 @@ typedef struct list {
 struct core_gather_scratch {
   const core_gather_sum *sum;
   const core_gather_points *points;
-  bool known;          /* whether both lists are valid */
+  bool known; /* whether both lists are valid */
+  /* a position, and how far it is from the points with power in each channel, at least */
+  double near_to[CORE_GATHER_CHANNELS_MAX][3]; /* unset where that is 0 */
+  double near_mm[CORE_GATHER_CHANNELS_MAX];
   list district, list; /* `list` is of the present cell, and starts as a copy of `district` */
   int fineness;
   /* The batch: queries of one cell whose sums are under way. The members after it are its progress;
@@ -249,6 +252,7 @@ core_gather_scratch *core_gather_scratch_create(const core_gather_sum *sum,
     scratch->sum = sum;
     scratch->points = points;
     scratch->known = false;
+    memset(scratch->near_mm, 0, sizeof scratch->near_mm);
     scratch->batch_count = 0;
     scratch->tried = scratch->missed = 0;
   }
@@ -346,9 +350,7 @@ static void start_list(const walk *w, list *l) {
 static void add_estimate(const walk *w, list *l, uint32_t node) {
   const core_gather_points *points = w->points;
   const gather_moments *m = &points->moments[node * points->groups];
-  const double x = l->cell.at[0] - m->at[0], y = l->cell.at[1] - m->at[1],
-               z = l->cell.at[2] - m->at[2];
-  const double distance = sqrt(x * x + y * y + z * z);
+  const double distance = gather_distance(l->cell.at, m->at);
   const double r = fmax(distance, 0.5 * fmax(m->radius_mm, l->cell.radius_mm));
   for (size_t c = 0; c < points->channels; c++) {
     l->estimate[c] +=
@@ -367,9 +369,8 @@ static bool estimate_by_angle(const walk *w, list *l) {
     const uint32_t at = l->node[--l->node_count];
     const gather_node *node = &points->nodes[at];
     const gather_moments *m = &points->moments[at * points->groups];
-    const double x = l->cell.at[0] - m->at[0], y = l->cell.at[1] - m->at[1],
-                 z = l->cell.at[2] - m->at[2];
-    if (node->children == 0 || m->radius_mm <= ESTIMATE_ANGLE * sqrt(x * x + y * y + z * z)) {
+    if (node->children == 0 ||
+        m->radius_mm <= ESTIMATE_ANGLE * gather_distance(l->cell.at, m->at)) {
       add_estimate(w, l, at);
       continue;
     }
@@ -829,6 +830,54 @@ static void begin_batch(const walk *w, const double *xyz) {
   memset(s->part, 0, sizeof s->part);
 }
 
+/* Returns a lower bound of the distance from x to the points of a node that have power, at least 7/9
+ * of it, or `least` if that is less. */
+static double nearest(const core_gather_points *points, size_t channel, uint32_t at,
+                      const double *x, double least) {
+  const gather_node *node = &points->nodes[at];
+  const gather_moments *m = &points->moments[at * points->groups + points->group[channel]];
+  const double far = gather_distance(m->at, x), near = far - m->radius_mm;
+  if (!(points->node_power[at * points->channels + channel] > 0) || near >= least) {
+    return least;
+  }
+  if (8 * m->radius_mm <= far) {
+    return near;
+  }
+  for (uint32_t i = 0; i < node->children; i++) {
+    least = nearest(points, channel, node->child + i, x, least);
+  }
+  for (size_t i = node->first; node->children == 0 && i < (size_t)node->first + node->count; i++) {
+    const double point[3] = {points->at[0][i], points->at[1][i], points->at[2][i]};
+    least = points->power[channel][i] > 0 ? fmin(least, gather_distance(point, x)) : least;
+  }
+  return least;
+}
+
+/* Notes how near and how far the points of a query at x are, and its sums M. What is known of a position
+ * close to it needs no search. */
+static void note_query(const walk *w, const double *x, const double *M) {
+  core_gather_scratch *s = w->s;
+  core_gather_visits *visits = w->visits;
+  const core_gather_points *points = w->points;
+  double far[3];
+  for (size_t k = 0; k < 3; k++) {
+    far[k] = fmax(fabs(x[k] - points->least[k]), fabs(x[k] - points->most[k]));
+  }
+  visits->farthest_mm = fmax(visits->farthest_mm, gather_distance(far, (const double[3]){0}));
+  for (size_t c = 0; c < points->channels; c++) {
+    const double least = visits->queries > 0 ? visits->nearest_mm[c] : (double)INFINITY;
+    double off = s->near_mm[c] > 0 ? gather_distance(s->near_to[c], x) : 0;
+    if (!(off < 0.1 * s->near_mm[c])) {
+      memcpy(s->near_to[c], x, sizeof s->near_to[c]);
+      s->near_mm[c] = nearest(points, c, 0, x, least);
+      off = 0;
+    }
+    visits->nearest_mm[c] = fmin(least, s->near_mm[c] - off);
+    visits->dimmest[c] = visits->queries > 0 ? fmin(visits->dimmest[c], M[c]) : M[c];
+  }
+  visits->queries++;
+}
+
 /* Gathers at the queries of the batch, with finer lists until all are within the tolerance. Returns
  * false if the work is used up before the end. */
 static bool gather_batch(const walk *w, const double *xyz, double *M, float *bound) {
@@ -840,6 +889,8 @@ static bool gather_batch(const walk *w, const double *xyz, double *M, float *bou
       const size_t at = s->batch[q] * channels;
       if (!finish_query(w, q, M + at, bound != NULL ? bound + at : NULL)) {
         s->batch[left++] = s->batch[q];
+      } else {
+        note_query(w, &xyz[3 * (size_t)s->batch[q]], M + at);
       }
     }
     s->left = left;
@@ -907,7 +958,6 @@ size_t core_gather_on(const core_gather_sum *sum, const core_gather_points *poin
       scratch->batch_count = 0;
     }
   }
-  visits->queries += done;
   return done;
 }
 
@@ -939,23 +989,62 @@ static double rounding_error(const core_profile *profile, double most_mm) {
   return 1.1 * steepest * 0x1p-24;
 }
 
-double core_gather_error(const core_gather_sum *sum, const core_gather_points *points,
-                         size_t channel, size_t n, const double *xyz) {
-  double most = 0;
-  for (size_t i = 0; i < n; i++) {
-    double square = 0;
-    for (size_t k = 0; k < 3; k++) {
-      const double x = xyz[3 * i + k];
-      const double far = fmax(fabs(x - points->least[k]), fabs(x - points->most[k]));
-      square += far * far;
-    }
-    most = fmax(most, square);
+static double error_at(const core_profile *profile, double least_mm, double most_mm) {
+  const core_stated_errors errors =
+      core_profile_errors(profile, CORE_QUANTITY_R, (core_radii_range){least_mm, most_mm});
+  return errors.numerical + errors.numerical_per_mm * most_mm;
+}
+
+static double R_at(const core_profile *profile, double r_mm) {
+  double R;
+  float narrow_R, narrow_r = (float)r_mm;
+  if (profile->evaluator == CORE_EVALUATOR_F64) {
+    core_eval_f64(profile, CORE_QUANTITY_R, 1, &r_mm, &R);
+    return R;
   }
+  core_eval_f32(profile, CORE_QUANTITY_R, 1, &narrow_r, &narrow_R);
+  return (double)narrow_R;
+}
+
+/* A larger error leaves R unknown. */
+#define UNKNOWN 0.5
+
+/* Returns the error of sums of points from least_mm to most_mm away. The points beyond some distance r
+ * may be off by a share of all the light if they sent it from r: then the errors of R beyond r count by
+ * little. R falls with the distance where its error is above UNKNOWN, which is far from the source.
+ * watts: the power of all points; M: the least sum. */
+static double error_of_sums(const core_gather_sum *sum, const core_profile *profile,
+                            core_radii_range radii, double watts, double M) {
+  const double step = 1.1, first = core_error_edges_mfp[0] / core_sigma_t_prime(&profile->medium);
+  double stated = error_at(profile, radii.least_mm, radii.most_mm);
+  double off = 0; /* the largest error of R beyond r, 1/mm^2 */
+  bool known = true;
+  for (double r = radii.most_mm / step; r > fmax(radii.least_mm, first); r /= step) {
+    const double share = error_at(profile, r, step * r);
+    if (share > UNKNOWN) {
+      known = false;
+      continue;
+    }
+    off = fmax(off, (known ? share : 1) / (1 - share) * R_at(profile, r));
+    known = true;
+    const double near = error_at(profile, radii.least_mm, r), lost = watts * off;
+    if (lost < M) {
+      stated = fmin(stated, near + lost * (1 + near + sum->tolerance) / (M - lost));
+    }
+  }
+  return stated;
+}
+
+double core_gather_error(const core_gather_sum *sum, const core_gather_points *points,
+                         size_t channel, const core_gather_visits *visits) {
   const core_profile *profile = &sum->profile[channel];
-  const core_radii_range radii = {0, sqrt(most)};
-  const core_stated_errors errors = core_profile_errors(profile, CORE_QUANTITY_R, radii);
+  const double least = visits->nearest_mm[channel] * (1 - 0x1p-40) - 0x1p-40 * points->reach_mm;
+  const core_radii_range radii = {least > CORE_RADIUS_SMALL_MM ? least : 0, visits->farthest_mm};
+  if (visits->queries == 0 || radii.least_mm > radii.most_mm) {
+    return 0; /* no sums, or no light */
+  }
   const bool narrow = profile->evaluator != CORE_EVALUATOR_F64;
-  return errors.numerical + errors.numerical_per_mm * radii.most_mm +
+  return error_of_sums(sum, profile, radii, points->node_power[channel], visits->dimmest[channel]) +
          (narrow ? rounding_error(profile, radii.most_mm) : 0) + 0x1p-44;
 }
 

@@ -306,8 +306,7 @@ static void put_head(const struct gather_job *gather, uint8_t *payload) {
   for (uint32_t i = 0; i < requested->medium_count; i++) {
     const core_profile *profile = &work->channels[i].profile;
     const wire_quantity_error error = {
-        .numerical_error = core_gather_error(work->sum, points_found(&work->set), i,
-                                             (size_t)parts->count, queries_of(gather)),
+        .numerical_error = core_gather_error(work->sum, points_found(&work->set), i, &work->visits),
         .model_error = work->model_error[i]};
     fixed.notes |= profile->notes;
     wire_put_quantity_error(

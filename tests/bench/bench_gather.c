@@ -134,7 +134,7 @@ static void free_queries(query_set *made) {
 /* Returns the microseconds of a query, in every `stride`th run. */
 static double gather_runs(const scene *of, const core_gather_sum *sum, const query_set *queries,
                           size_t stride) {
-  core_gather_visits visits = {0, 0, 0, 0};
+  core_gather_visits visits = {0};
   core_gather_scratch *scratch = core_gather_scratch_create(sum, of->points);
   const uint64_t start = bench_own_ns();
   for (size_t run = 0; run < queries->n / RUN; run += stride) {
@@ -150,7 +150,7 @@ static double gather_runs(const scene *of, const core_gather_sum *sum, const que
 static void gather_some(const scene *of, const core_gather_sum *sum, const query_set *queries,
                         size_t count, double *M) {
   uint32_t some[COMPARED];
-  core_gather_visits visits = {0, 0, 0, 0};
+  core_gather_visits visits = {0};
   core_gather_scratch *scratch = core_gather_scratch_create(sum, of->points);
   for (size_t i = 0; i < count; i++) {
     some[i] = (uint32_t)(i * (MILLION / COMPARED));

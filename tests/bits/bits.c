@@ -474,7 +474,7 @@ static void print_gathered(const core_isa *isa) {
       sum = checksum(sum, M, sizeof M);
       sum = checksum(sum, bound, sizeof bound);
       for (size_t c = 0; c < CHANNELS; c++) {
-        const double error = core_gather_error(gather, points, c, QUERIES, xyz);
+        const double error = core_gather_error(gather, points, c, &visits);
         sum = checksum(sum, &error, sizeof error);
       }
       core_gather_sum_free(gather);
