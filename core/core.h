@@ -286,7 +286,8 @@ typedef struct core_profile {
   enum core_model model;
   enum core_moments moments;
   enum core_evaluator evaluator;
-  double albedo; /* integral of 2 pi r R(r) from 0 to infinity; 0 when nothing scatters */
+  unsigned notes; /* bits of enum core_note */
+  double albedo;  /* integral of 2 pi r R(r) from 0 to infinity; 0 when nothing scatters */
   /* Numerical error: a value at radius r is off from the model's exact formula by at most
    * numerical_error + numerical_error_per_mm * r, relative, or by 16 of the smallest subnormal
    * numbers, whichever is more. A value that is larger than the largest finite number of its
@@ -316,7 +317,6 @@ typedef struct core_profile {
   core_reach T_reach;
   double balance[CORE_BALANCE_SHARES]; /* of `transport` and `transport-transmitted`; else 0 */
   double balance_error;                /* absolute */
-  unsigned notes;                      /* bits of enum core_note */
   core_radii_range radii;              /* the profile may be evaluated from least to most */
   double cost;                         /* of one radius, in evaluations of a dipole */
 
@@ -330,6 +330,7 @@ typedef struct core_profile {
   double scale_mm;                    /* order of magnitude of the radii that matter */
   double path_sigma_a_per_mm;         /* of the layer whose PATH is evaluated */
   double path_index;                  /* that of its speed of light */
+  struct core_profile *paths;         /* of evaluator f64, for PATH where sigma_a is low; owned */
   struct core_modulation *modulation; /* NULL without the parameter `mhz`; owned */
   double cos_in;                      /* cosines of the angles of S */
   double cos_out;
@@ -428,9 +429,9 @@ static inline bool core_wants_derivatives(unsigned wanted) {
 }
 
 /* Returns the fault of CORE_PATHS or CORE_MODULATED, if they are wanted, for a medium and parameters
- * that core_profile_check() accepts: without absorption the first would be a quotient of zeros, and
- * the second need the parameter `mhz`. */
-core_fault core_paths_check(unsigned wanted, const core_medium *medium,
+ * that core_profile_check() accepts: without absorption only dipoles, `single` and their sums know
+ * the first's limit, and the second need the parameter `mhz`. */
+core_fault core_paths_check(unsigned model, unsigned wanted, const core_medium *medium,
                             const core_parameters *parameters);
 
 /* The numerical errors of a profile's values that a reply states. */
@@ -485,7 +486,8 @@ size_t core_profile_bytes(const core_profile *profile);
  *   PATH   the mean length of the paths in the medium of the light that leaves at r, mm:
  *          -BY_SIGMA_A / sigma_a; of layers, in the layer CORE_PARAMETER_DERIVATIVE_LAYER
  *   DPF    PATH / r, infinity at r = 0; TIME  PATH n / c, ps, n = CORE_PARAMETER_INDEX or eta.
- *          The profile has to be prepared as for BY_SIGMA_A, and the layer has to absorb
+ *          The profile has to be prepared as for BY_SIGMA_A. Without absorption it is the limit,
+ *          which core_paths_check() refuses for models without one
  *   PHASE  the lag of light modulated with CORE_PARAMETER_MHZ, -arg R~ in degrees, not reduced to a
  *          circle; MODULATION  |R~| / R. R~ is R at the complex absorption sigma_a + i omega n / c
  *   PHASE_F and MODULATION_F  likewise, of R(f) at spatial frequencies as of TRANSFER

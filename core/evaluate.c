@@ -161,8 +161,9 @@ void core_evaluate(const core_profile *profile, enum core_quantity quantity, siz
     return;
   }
   if ((quantity & CORE_PATHS) != 0) {
-    core_evaluate(profile, CORE_QUANTITY_BY_SIGMA_A, n, r, out);
-    core_paths_make(profile, quantity, n, r, out);
+    const core_profile *of = profile->paths != NULL ? profile->paths : profile;
+    core_evaluate(of, CORE_QUANTITY_BY_SIGMA_A, n, r, out);
+    core_paths_make(of, quantity, n, r, out);
     return;
   }
   if ((quantity & CORE_MULTIPLES) != 0) {
@@ -236,7 +237,8 @@ void core_eval_f32(const core_profile *profile, enum core_quantity quantity, siz
   assert(profile->evaluator != CORE_EVALUATOR_F64);
   core_kernel_f32 *const *kernels =
       core_is_narrow(profile) ? profile->kernels->f32->evaluate : NULL;
-  if ((quantity & CORE_MODULATED) != 0) {
+  if ((quantity & CORE_MODULATED) != 0 ||
+      ((quantity & CORE_PATHS) != 0 && profile->paths != NULL)) {
     widely(profile, quantity, n, r, out);
   } else if ((quantity & CORE_PATHS) != 0) {
     (kernels != NULL && profile->lut == NULL ? narrow_paths : widely)(

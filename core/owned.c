@@ -6,8 +6,9 @@
 
 size_t core_profile_bytes(const core_profile *profile) {
   size_t bytes = profile->table_bytes + profile->lut_count * sizeof *profile->lut;
-  if (profile->source != NULL) {
-    bytes += sizeof *profile->source + core_profile_bytes(profile->source);
+  const core_profile *const owned[] = {profile->source, profile->paths};
+  for (int i = 0; i < 2; i++) {
+    bytes += owned[i] != NULL ? sizeof *owned[i] + core_profile_bytes(owned[i]) : 0;
   }
   for (int i = 0; i < 2 && profile->parts != NULL; i++) {
     bytes += sizeof profile->parts[i] + core_profile_bytes(&profile->parts[i]);
@@ -24,10 +25,13 @@ void core_profile_free(core_profile *profile) {
   profile->table = NULL;
   free(profile->lut);
   profile->lut = NULL;
-  if (profile->source != NULL) {
-    core_profile_free(profile->source);
-    free(profile->source);
-    profile->source = NULL;
+  core_profile **const owned[] = {&profile->source, &profile->paths};
+  for (int i = 0; i < 2; i++) {
+    if (*owned[i] != NULL) {
+      core_profile_free(*owned[i]);
+      free(*owned[i]);
+      *owned[i] = NULL;
+    }
   }
   if (profile->parts != NULL) {
     core_profile_free(&profile->parts[0]);

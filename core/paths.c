@@ -201,6 +201,11 @@ enum { PLACES = 33 };
 #define NEAREST 1e-3
 /* An interpolation with a larger relative error is not trusted to know it. */
 #define UNKNOWN 0.05
+/* The derivatives of paths where sigma_a is low: the sum of the sizes of their terms that do not grow
+ * with r, over sigma_a / sigma_t', and the mean free paths up to which those that grow are evaluated;
+ * from 1e100 on R is 0. */
+#define FAINT_TERMS 16
+#define FAINT_REACH 1e90
 /* What rounding adds for each weight. */
 #define ROUNDING 1e-14
 
@@ -287,13 +292,27 @@ static double modulated_error(const core_profile *profile, enum core_quantity qu
   return most;
 }
 
+/* Returns what multiplies the errors of a derivative that is in proportion to sigma_a: the sum of the
+ * sizes of its terms, most of which grow with r, at most as a 1.5 (r sigma_t')^2. */
+static double faint_share(const core_profile *of, double most_mm) {
+  const double sigma_t_prime = core_sigma_t_prime(&of->medium);
+  const double a = of->path_sigma_a_per_mm / sigma_t_prime;
+  double value = 2e200 * a;
+  if (most_mm * sigma_t_prime < FAINT_REACH) {
+    core_evaluate(of, CORE_QUANTITY_BY_SIGMA_A, 1, &most_mm, &value);
+  }
+  return FAINT_TERMS * a + 2 * fabs(value);
+}
+
 core_stated_errors core_paths_errors(const core_profile *profile, enum core_quantity quantity,
                                      core_stated_errors derivative, core_radii_range radii) {
   if ((quantity & CORE_MODULATED) != 0) {
     return (core_stated_errors){.numerical = modulated_error(profile, quantity, radii)};
   }
-  const double factor = per_derivative(profile, quantity);
   const bool any = radii.least_mm <= radii.most_mm;
+  const core_profile *of = profile->paths != NULL ? profile->paths : profile;
+  const double share = of == profile ? 1 : any ? faint_share(of, radii.most_mm) : 0;
+  const double factor = share * per_derivative(of, quantity);
   return quantity == CORE_QUANTITY_DPF
              ? (core_stated_errors){.numerical =
                                         any ? factor * (derivative.numerical / radii.least_mm +

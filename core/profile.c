@@ -589,13 +589,46 @@ static core_fault prepare_modulation(core_profile *profile, const struct model *
   return fault;
 }
 
-core_fault core_paths_check(unsigned wanted, const core_medium *medium,
+/* ---- path lengths ---------------------------------------------------------------------------- */
+
+/* Whether a model's derivative by ln sigma_a is in proportion to sigma_a where that is low, and its
+ * rounding error is, too. */
+static bool has_faint_paths(const struct model *model) {
+  return core_has_derivatives(model->id) &&
+         (parameters_of(model) & (MODULATES | SOLVES)) == MODULATES;
+}
+
+/* sigma_a over sigma_t' from which on a profile's own derivative gives PATH, and the least one that
+ * stands for 0: up to 1e100 mean free paths R is the same there as at 0. */
+#define FAINT 1e-3
+#define FAINTEST 0x1p-800
+
+static core_fault prepare_paths(core_profile *profile, const struct model *model,
+                                core_inputs inputs) {
+  const double sigma_t_prime = core_sigma_t_prime(inputs.medium);
+  core_medium medium = *inputs.medium;
+  medium.sigma_a_per_mm = fmax(medium.sigma_a_per_mm, FAINTEST * sigma_t_prime);
+  if (!(medium.sigma_a_per_mm < FAINT * sigma_t_prime)) {
+    return (core_fault){0};
+  }
+  inputs.medium = &medium;
+  profile->paths = malloc(sizeof *profile->paths);
+  if (profile->paths == NULL) {
+    return CORE_OUT_OF_MEMORY;
+  }
+  profile->paths->evaluator = CORE_EVALUATOR_F64;
+  return prepare(profile->paths, model, inputs, profile->radii);
+}
+
+core_fault core_paths_check(unsigned model, unsigned wanted, const core_medium *medium,
                             const core_parameters *parameters) {
   const double layer = parameters->value[CORE_PARAMETER_DERIVATIVE_LAYER];
   const size_t at = isnan(layer) ? 0 : (size_t)layer - 1;
-  if ((wanted & CORE_PATHS) != 0 && !(medium[at].sigma_a_per_mm > 0)) {
-    return (core_fault){"sigma_a", "above 0 with path, dpf and time: their limit is not computed",
-                        at};
+  if ((wanted & CORE_PATHS) != 0 && !(medium[at].sigma_a_per_mm > 0) &&
+      !has_faint_paths(find_model(model))) {
+    return (core_fault){
+        "sigma_a", "above 0 with path, dpf and time of this model: dipoles and single have a limit",
+        at};
   }
   return (wanted & CORE_MODULATED) != 0 && isnan(parameters->value[CORE_PARAMETER_MHZ])
              ? (core_fault){"mhz", "a frequency: phase and modulation need it", 0}
@@ -612,11 +645,18 @@ static core_fault check_and_prepare(core_profile *profile, unsigned model, unsig
   }
   profile->evaluator = evaluator;
   core_fault made = prepare(profile, found, *inputs, radii);
-  if (made.field == NULL && !isnan(inputs->parameters->value[CORE_PARAMETER_MHZ])) {
+  if (made.field != NULL) {
+    return made;
+  }
+  if (!isnan(inputs->parameters->value[CORE_PARAMETER_MHZ])) {
     made = prepare_modulation(profile, found, *inputs);
-    if (made.field != NULL) {
-      core_profile_free(profile);
-    }
+  }
+  if (made.field == NULL && !isnan(inputs->parameters->value[CORE_PARAMETER_DERIVATIVES]) &&
+      has_faint_paths(found)) {
+    made = prepare_paths(profile, found, *inputs);
+  }
+  if (made.field != NULL) {
+    core_profile_free(profile);
   }
   return made;
 }

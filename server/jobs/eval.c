@@ -47,7 +47,7 @@ static wire_error check_media(struct eval_job *eval, core_radii_range *radii) {
       fault = (core_fault){"wanted", "no balance: this model has only R; transport has it", 0};
     }
     if (fault.field == NULL) {
-      fault = core_paths_check(fixed->wanted, eval_job_medium(eval, channel),
+      fault = core_paths_check(fixed->model, fixed->wanted, eval_job_medium(eval, channel),
                                &eval->request.parameters);
     }
     if (fault.field != NULL) {

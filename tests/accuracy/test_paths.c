@@ -322,6 +322,48 @@ UNIT_TEST(phases_of_tissue_are_those_that_are_known) {
 
 /* ---- limits and identities -------------------------------------------------------------------- */
 
+/* Differences of d'Eon's formulas (2012, Table 2) with 150 digits; of single scattering, its integral with
+ * 40 (Habel et al. 2013). sigma_s is 1 per mm. */
+UNIT_TEST(paths_reach_their_limit_without_absorption) {
+  static const struct {
+    unsigned model;
+    double sigma_a, eta, r, path;
+  } known[] = {
+      {CORE_MODEL_CLASSICAL, 0, 1.4, 0.25, 2.285153610122808},
+      {CORE_MODEL_CLASSICAL, 0, 1.4, 10, 185.3468735370683},
+      {CORE_MODEL_CLASSICAL, 0, 1, 1000, 1500008.166645},
+      {CORE_MODEL_CLASSICAL, 0x1p-30, 1.4, 10, 185.2389827183318},
+      {CORE_MODEL_CLASSICAL, 0x1p-12, 1, 50, 1598.122965624665},
+      {CORE_MODEL_BETTER, 0, 1.4, 0.25, 5.822048070511749},
+      {CORE_MODEL_BETTER, 0, 1.4, 10, 173.4379273816241},
+      {CORE_MODEL_BETTER, 0, 1, 1000, 1500008.099988037},
+      {CORE_MODEL_BETTER, 0x1p-30, 1.4, 10, 173.3411361744387},
+      {CORE_MODEL_BETTER, 0x1p-12, 1, 50, 1597.85913600001},
+      {CORE_MODEL_GROSJEAN, 0, 1.4, 0.25, 3.345110190265388},
+      {CORE_MODEL_GROSJEAN, 0, 1.4, 10, 186.1313828651625},
+      {CORE_MODEL_GROSJEAN, 0, 1, 1000, 1500008.766652333},
+      {CORE_MODEL_GROSJEAN, 0x1p-30, 1.4, 10, 186.0234918079852},
+      {CORE_MODEL_GROSJEAN, 0x1p-12, 1, 50, 1598.06047272517},
+      {CORE_MODEL_SINGLE, 0, 2.2, 4, 17.714867639284763},
+      {CORE_MODEL_SINGLE, 0, 2.2, 20, 84.451838246648165},
+      {CORE_MODEL_BETTER_SINGLE, 0, 2.2, 4, 98.056892457371359},
+  };
+  for (size_t i = 0; i < sizeof known / sizeof known[0]; i++) {
+    const core_medium medium = {known[i].sigma_a, 1, 0, known[i].eta, 0};
+    const double r = known[i].r, path = known[i].path;
+    for (unsigned evaluator = CORE_EVALUATOR_F64; evaluator <= CORE_EVALUATOR_LUT; evaluator++) {
+      core_profile profile = prepared(known[i].model, evaluator, &medium, 1, (double)NAN);
+      const double error = stated(&profile, CORE_QUANTITY_PATH, r);
+      expect("path", r, value_at(&profile, CORE_QUANTITY_PATH, r), path, error + 1e-15 * path);
+      expect("dpf", r, value_at(&profile, CORE_QUANTITY_DPF, r), path / r,
+             stated(&profile, CORE_QUANTITY_DPF, r) + 1e-15 * path / r);
+      assert_true(isfinite(stated(&profile, CORE_QUANTITY_DPF, 1e300)));
+      assert_true(error > 0 && error < (evaluator == CORE_EVALUATOR_F64 ? 1e-9 : 1e-3) * path);
+      core_profile_free(&profile);
+    }
+  }
+}
+
 UNIT_TEST(slow_modulation_lags_by_the_mean_path) {
   static const unsigned models[] = {CORE_MODEL_TRANSPORT, CORE_MODEL_BETTER,
                                     CORE_MODEL_BETTER_SINGLE};

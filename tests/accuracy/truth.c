@@ -360,6 +360,7 @@ static void compare_derivatives(const struct subject *s, const struct values *va
     for (int e = 0; e < EVALUATORS && !isnan(truth) && !isinf(truth); e++) {
       if (s->ready[e] && (e == F64 || e == FINE || is_narrow(r))) {
         const core_profile *profile = &s->profiles[e];
+        const quad unsure = near.h < 1e-5Q ? 1e-25Q : 1e-14Q; /* by rounding of the difference */
         for (int check = PATH_LENGTH;
              check <= TIME && i % 2 == 0 && profile->path_sigma_a_per_mm > 0; check++) {
           const quad path = -truth / (quad)profile->path_sigma_a_per_mm;
@@ -367,7 +368,8 @@ static void compare_derivatives(const struct subject *s, const struct values *va
                         check == DPF    ? path / (quad)r
                         : check == TIME ? path * (quad)profile->path_index / 0.299792458Q
                                         : path,
-                        0);
+                        (check == DPF ? unsure / (quad)r : 5 * unsure) /
+                            (quad)profile->path_sigma_a_per_mm);
         }
         const double value = values->of[e][q][i / 2];
         const double stated = profile->derivative_error + profile->derivative_error_per_mm * r;

@@ -30,8 +30,12 @@ moments exact, mhz 100, R_f, the reflectance of striped light
 0.04    1.87091        0.999062
 
 $ dipole eval --model transport --sigma-a 0 --sigma-s 1 --eta 1.4 --r 10 --wanted path
-! dipole eval: bad-value: sigma_a: allowed: above 0 with path, dpf and time: their limit is not computed (--sigma-a)
+! dipole eval: bad-value: sigma_a: allowed: above 0 with path, dpf and time of this model: dipoles and single have a limit (--sigma-a)
 ? 1
+
+$ dipole eval --model better --sigma-a 0 --sigma-s 1 --eta 1.4 --r 10 --wanted path --format csv
+model,channel,sigma_a,sigma_s,g,eta,r,path,numerical_error,model_error,evaluator,notes
+better,1,0,1,0,1.4,10,173.43792738162415,2.5783880258476323e-12,,f64,
 
 $ dipole eval --model transport --sigma-a 0.01 --sigma-s 1 --eta 1.4 --r 10 --wanted phase
 ! dipole eval: model transport: bad-value: mhz: allowed: a frequency: phase and modulation need it (--mhz)
