@@ -201,10 +201,10 @@ static void set_terms(exitance_series *to, const exitance_grid *of, const double
   }
 }
 
-bool solver_exitance_make(exitance_series *to, const exitance_grid *of, bool has_tail, double far,
-                          double peak, const double complex *smooth, const double complex *values) {
+bool solver_exitance_make(exitance_series *to, const exitance_grid *of, double far, double peak,
+                          const double complex *smooth, const double complex *values) {
   *to = (exitance_series){.far = far, .peak = peak};
-  if (has_tail && !fit_tail(of, to, smooth)) {
+  if (!fit_tail(of, to, smooth)) {
     return false;
   }
   set_terms(to, of, smooth);

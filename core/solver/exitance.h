@@ -51,12 +51,11 @@ typedef struct exitance_series {
   double complex step, bend;
 } exitance_series;
 
-/* Sets *to from X at all nodes. has_tail: whether X falls slowly beyond K; if not, what is left at
- * K goes on as k^-5. far: the limit of k^2 X. peak: 0, or the wavenumber of a narrow peak of light that
- * is scattered back. smooth: X itself, or the part of it that does not fall exponentially, from which the
- * tail is found. Returns false if an equation is singular. */
-bool solver_exitance_make(exitance_series *to, const exitance_grid *of, bool has_tail, double far,
-                          double peak, const double complex *smooth, const double complex *values);
+/* Sets *to from X at all nodes. far: the limit of k^2 X. peak: 0, or the wavenumber of a narrow peak of
+ * light that is scattered back. smooth: X itself, or the part of it that does not fall exponentially,
+ * from which the tail is found. Returns false if an equation is singular. */
+bool solver_exitance_make(exitance_series *to, const exitance_grid *of, double far, double peak,
+                          const double complex *smooth, const double complex *values);
 
 /* Returns R at the radius r, above 0, per squared unit of length. *size is set to the same integral
  * over the modulus of the integrand: an error of X counts in proportion to it. */

@@ -94,9 +94,8 @@ struct grid {
   double layered_most;              /* the largest k at which R is not that of this half space */
   double share;                     /* Im k over it where the path of wavenumbers starts */
   exitance_grid wavenumbers[SIDES]; /* T has further panels */
-  double passes; /* what counts of light below that was scattered once, see pass_onwards() */
-  double
-      guess[3]; /* of T: k from where on it is guessed, or 0, Im k there, and the error of k^2 T */
+  double passes;   /* what counts of light below that was scattered once, see pass_onwards() */
+  double guess[3]; /* of T: k from where on it is guessed, or 0, Im k there, the error of k^2 T */
   exitance_series exitance[SIDES];
 };
 
@@ -397,19 +396,20 @@ static void pass_onwards(struct grid *to, const struct solver_layers *all, doubl
   }
 }
 
-/* Returns the part of `onwards` at k that T - onwards is, where `last` is the last wavenumber known. */
-static double complex like_onwards(const double complex like[2], double complex k,
-                                   double complex last) {
-  const double complex ratio = last * fn_inverse(k);
-  return ratio * (like[0] + like[1] * ratio);
+/* Returns what T - onwards is at a node, where k_last is the last wavenumber known. */
+static double complex like_onwards(const double complex like[2], const exitance_grid *all,
+                                   size_t node, double complex k_last,
+                                   const double complex *onwards) {
+  const double complex ratio = k_last * fn_inverse(solver_exitance_wavenumber(all, node));
+  return ratio * (like[0] + like[1] * ratio) * onwards[node];
 }
 
 /* Fits like_onwards() by least squares to nodes of the last wavenumbers. T: without `onwards`. */
 static void fit_onwards(const exitance_grid *all, size_t last, const double complex *onwards,
                         const double complex *T, double complex like[2]) {
   const double complex k_last = solver_exitance_wavenumber(all, last);
-  double complex mixed = 0, right[2] = {0, 0};
-  double square[2] = {0, 0};
+  double complex mixed = 0, right[2] = {0};
+  double square[2] = {0};
   for (size_t node = last + 1; node-- > 0;) {
     const double complex k = solver_exitance_wavenumber(all, node);
     if (creal(k) < FITTED_FROM * creal(k_last)) {
@@ -465,22 +465,18 @@ static void cut_noise(struct grid *to, double thickness, double depth, size_t so
     if (fn_abs(T[last]) < fn_abs(onwards[last])) {
       fit_onwards(all, last, onwards, T, like);
     }
-    const double complex here = T[last] - like_onwards(like, k, k) * onwards[last];
-    const double complex there =
-        T[before] -
-        like_onwards(like, solver_exitance_wavenumber(all, before), k) * onwards[before];
+    const double complex here = T[last] - like_onwards(like, all, last, k, onwards);
+    const double complex there = T[before] - like_onwards(like, all, before, k, onwards);
     const double falls =
         fmax(creal(fn_clog(there * fn_inverse(here)) * fn_inverse(way)), FALLS_LEAST / creal(k));
     to->guess[0] = creal(k);
     to->guess[1] = cimag(k);
-    const double left_out = onwards[last] == 0 ? to->guess[2] : 0;
-    to->guess[2] = left_out +
+    to->guess[2] = (onwards[last] == 0 ? to->guess[2] : 0) +
                    fn_norm2(k) * (UNSURE * fn_abs(onwards[last]) + fn_abs(T[last] - here)) +
                    creal(k) / falls * fn_abs(here);
     for (size_t node = last + 1; node < all->panels * all->nodes; node++) {
-      const double complex to_there = solver_exitance_wavenumber(all, node);
-      T[node] =
-          here * fn_cexp(-falls * (to_there - k)) + like_onwards(like, to_there, k) * onwards[node];
+      T[node] = here * fn_cexp(-falls * (solver_exitance_wavenumber(all, node) - k)) +
+                like_onwards(like, all, node, k, onwards);
     }
   } else {
     all->panels = solved / all->nodes;
@@ -619,7 +615,7 @@ static bool solve_grid(struct grid *to, const struct solver_layers *of, const co
       cut_noise(to, thickness, depth, solved, onwards, all_values);
       far *= to->passes;
     }
-    ok = solver_exitance_make(&to->exitance[side], &to->wavenumbers[side], true, far,
+    ok = solver_exitance_make(&to->exitance[side], &to->wavenumbers[side], far,
                               solver_peak_at(&phase) * to->layer[i].extinction,
                               alike && i == 0 ? values + SIDES * nodes : all_values, all_values);
   }

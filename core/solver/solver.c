@@ -147,8 +147,8 @@ static bool solve_grid(struct grid *to, const core_isa *isa, const struct level 
     const double far =
         solver_far(to->scaled.single, phase, boundaries->etas[part % boundaries->count],
                    sine_of(boundaries, part), false);
-    ok = solver_exitance_make(&to->exitance[part], &to->wavenumbers, true, far,
-                              solver_peak_at(phase), values[part], values[part]);
+    ok = solver_exitance_make(&to->exitance[part], &to->wavenumbers, far, solver_peak_at(phase),
+                              values[part], values[part]);
   }
   free(memory);
   return ok;
