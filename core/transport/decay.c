@@ -74,6 +74,10 @@ static struct pivot pivot_at(const double *moment, size_t moments, double albedo
   return pivot;
 }
 
+/* Next to u = 1, where a beam decays, f is in proportion to 1 / ln(u - ENDS), so that Newton's steps are
+ * those of ln(u - ENDS). A matrix of TERMS rows has its eigenvalues up to ENDS without scattering. */
+#define ENDS (1 - 8e-6)
+
 double transport_decay_rate(const double *moment, size_t moments, double albedo, double reversed,
                             double absorbed) {
   enum { STEPS = 100 };
@@ -81,22 +85,22 @@ double transport_decay_rate(const double *moment, size_t moments, double albedo,
   if (!(absorbed > 0)) {
     return 0;
   }
-  double low = 0, high = (double)INFINITY, u = sqrt(1 / (absorbed * first) + 0.5);
-  for (int step = 0; step < STEPS; step++) {
+  double low = 0, high = (double)INFINITY, u = sqrt(1 / (absorbed * first) + 1);
+  bool done = false;
+  for (int step = 0; step < STEPS && !done; step++) {
     const struct pivot pivot = pivot_at(moment, moments, albedo, reversed, absorbed, u);
     const bool below = !pivot.good || pivot.value < 0;
     *(below ? &low : &high) = u;
-    double next = u - pivot.value / pivot.slope;
-    if (!pivot.good || !(next > low && next < high)) {
-      next = high < (double)INFINITY ? 0.5 * (low + high) : 1.5 * u;
-    }
-    const bool done = fabs(next - u) <= 4e-16 * u;
-    u = next;
-    if (done) {
-      break;
-    }
+    const double share = -pivot.value / (pivot.slope * (u - ENDS));
+    const double longer = fabs(share) < 1e-3 ? share : fn_exp(share) - 1;
+    const double next = fmax(u + longer * (u - ENDS), 1);
+    /* the step after a small one is its square, and a root below 1 counts as 1 */
+    done = pivot.good && (fabs(share) < 1e-8 || (u == 1 && !below));
+    u = done || (pivot.good && next > low && next < high) ? next
+        : high < (double)INFINITY                         ? 0.5 * (low + high)
+                                                          : 1.5 * u;
   }
-  return u > 1 ? 1 / u : 1;
+  return 1 / u;
 }
 
 double transport_anisotropic_kappa(double albedo, double g) {

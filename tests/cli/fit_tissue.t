@@ -35,9 +35,9 @@ fat=.3, haemoglobin by prahl, model transport, moments exact, g 0.9, eta 1.4, sc
 
 sample  unknown         value  error  numerical        status  scale  its error       chi2  readings  condition     sample is
 ------  --------------  -----  -----  ---------  ------------  -----  ---------  ---------  --------  ---------  ------------
-1       hbo2_uM             -    inf    9.5e-01  undetermined      1      0.011  2.031e-08         8        inf  undetermined
-1       hb_uM               -    inf    6.3e-02  undetermined      1      0.011  2.031e-08         8        inf  undetermined
-1       water_fraction      -    inf    1.0e-01  undetermined      1      0.011  2.031e-08         8        inf  undetermined
+1       hbo2_uM             -    inf    1.2e+00  undetermined      1      0.011  2.031e-08         8        inf  undetermined
+1       hb_uM               -    inf    6.6e-02  undetermined      1      0.011  2.031e-08         8        inf  undetermined
+1       water_fraction      -    inf    1.2e-01  undetermined      1      0.011  2.031e-08         8        inf  undetermined
 1       a_per_mm          1.9   0.18    1.6e-02        fitted      1      0.011  2.031e-08         8        inf  undetermined
 1       b                 1.2   0.31    2.8e-02        fitted      1      0.011  2.031e-08         8        inf  undetermined
 1       saturation          -    inf          -  undetermined      1      0.011  2.031e-08         8        inf  undetermined
