@@ -25,8 +25,9 @@ BITS := -ffp-contract=off -fno-math-errno -fno-trapping-math -fno-tree-slp-vecto
 BITS += $(if $(shell $(CC) -dM -E -x c /dev/null | grep -w __i386__),-msse2 -mfpmath=sse)
 ALL_CFLAGS = -std=c17 $(WARNINGS) $(BITS) -fPIC -pthread $(CFLAGS) $(SANITIZE)
 ALL_CPPFLAGS = -D_GNU_SOURCE -I. -DDIPOLED_VERSION='"$(VERSION)"' -MMD -MP $(CPPFLAGS)
-# Packed relocations: a thirtieth of the daemon less.
-ALL_LDFLAGS = -pthread -Wl,-z,pack-relative-relocs $(LDFLAGS) $(SANITIZE)
+# Packed relocations: a thirtieth of the daemon less. Debian 12's linker has them for x86-64.
+ALL_LDFLAGS = -pthread $(if $(filter x86_64,$(ARCH)),-Wl$(comma)-z$(comma)pack-relative-relocs) $(LDFLAGS) $(SANITIZE)
+comma := ,
 
 # The flags and libraries of a package, asked for where they are used.
 PKG_CONFIG ?= pkg-config

@@ -246,6 +246,7 @@ static inline real real_log(real x, real exponent) {
 #else
 #define CORE_LANES 1
 #endif
+_Static_assert(CORE_LANES <= CORE_LANES_MOST, "core_run_f64() and others have room for a vector");
 /* n, which is a multiple of CORE_LANES, in a form from which compilers see it */
 #define CORE_WHOLE(n) ((n) / CORE_LANES * CORE_LANES)
 

@@ -46,7 +46,7 @@ enum core_elementwise {
 /* The argument of core_varying_check_kernel: radii up to infinity, or numbers u up to 1. */
 enum core_varying_argument { CORE_VARYING_RADII, CORE_VARYING_NUMBERS };
 
-enum { CORE_LANES_MOST = 16 };
+enum { CORE_LANES_MOST = 16 }; /* the most numbers that a vector of any instruction set holds */
 
 /* The kernels of a precision.
  *
