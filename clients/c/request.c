@@ -196,7 +196,7 @@ static bool is_awaited(const libdipole_pending *pending) {
   return pending != NULL && (pending->frame == NULL || is_progress(pending));
 }
 
-/* Returns whether the frame only says that the daemon prepares what a request waits for (F3e). */
+/* Returns whether the frame only says that the daemon is at work on a request (F3e). */
 static bool reports_work(const wire_header *header, const libdipole_pending *pending) {
   return header->type == (WIRE_TYPE_PING | WIRE_REPLY) && header->payload_bytes == 0 &&
          pending->type != WIRE_TYPE_PING;

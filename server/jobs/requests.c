@@ -158,9 +158,9 @@ static void drop_detached(struct requests *r) {
   }
 }
 
-const wire_header *requests_waiting(const struct requests *r) {
+const wire_header *requests_under_way(const struct requests *r) {
   const struct detached *first = TAILQ_FIRST(&r->detached);
-  return r->run.state == RUN_WAITS ? &r->header : first != NULL ? &first->header : NULL;
+  return r->run.state != RUN_IDLE ? &r->header : first != NULL ? &first->header : NULL;
 }
 
 bool requests_stop_detached(struct requests *r, enum job_stop why) {

@@ -78,8 +78,8 @@ bool requests_expire(struct requests *requests);
  * whether there were any. */
 bool requests_give_up(struct requests *requests, const wire_error *error, bool all);
 
-/* Returns the header of a request that waits for a preparation or is detached; NULL if there is none. */
-const wire_header *requests_waiting(const struct requests *requests);
+/* Returns the header of a request that is under way or detached; NULL if there is none. */
+const wire_header *requests_under_way(const struct requests *requests);
 
 /* Makes detached requests end soon that can end with a part of their results. Returns whether there
  * are any detached requests. */

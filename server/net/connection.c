@@ -16,7 +16,7 @@ enum {
   WRITE_BYTES = 263168,
   REST_MS = 1000,    /* the silence after which the connection releases its buffers */
   HANG_UP_MS = 1000, /* how long preparations go on for a peer that has ended its side */
-  REPORT_MS = 10000, /* the silence after which a waiting client is told of the work */
+  REPORT_MS = 5000,  /* the silence after which a waiting client is told of the work */
 };
 
 struct connection {
@@ -394,10 +394,10 @@ static void stop_client(struct client *client) {
   }
 }
 
-/* Tells a client whose request waits for a preparation that the daemon is at work (F3e): by an empty
- * reply to a ping with the request's id, before the part that is open in the output. */
+/* Tells a client whose request takes long that the daemon is at work (F3e): by an empty reply to a
+ * ping with the request's id, before the part that is open in the output. */
 static void report_work(struct connection *c) {
-  const wire_header *waiting = requests_waiting(&c->requests);
+  const wire_header *waiting = requests_under_way(&c->requests);
   if (waiting == NULL || c->output.ready_bytes > 0 || c->transport.writing ||
       !is_ready(c, POLLOUT, POLLOUT)) {
     return;

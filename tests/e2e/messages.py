@@ -116,7 +116,7 @@ def is_last(reply: Frame) -> bool:
 
 def receive_answer(connection: Connection) -> tuple[Frame, tuple[bytes, ...]]:
     """Receives the next answer. Returns its first frame, and the payloads of all its parts without
-    reports of progress, nor of work that goes on, which may take 10 s on a busy machine."""
+    reports of progress, nor of work that goes on, which may take 5 s on a busy machine."""
     frames: list[Frame] = []
     while not frames or not is_last(frames[-1]):
         one = connection.receive_frame()

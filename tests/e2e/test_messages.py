@@ -624,7 +624,7 @@ def test_others_are_answered_meanwhile(single, message):
 
         def under_way() -> bool:
             while select.select([busy.socket], [], [], 0)[0]:
-                one = busy.receive_frame()  # after 10 s on a busy machine: that it is still at work
+                one = busy.receive_frame()  # after 5 s on a busy machine: that it is still at work
                 assert one == Frame(PONG, 1, b"") or one[:2] == (wire.MESSAGES[message] | wire.REPLY, 1)
             now = statistics(other)
             return now["owed_radii"] + now["mc_jobs_open"] > 0

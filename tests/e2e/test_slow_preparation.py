@@ -6,7 +6,7 @@ import pytest
 from dipole import Refused, wire
 from dipole.connection import Frame
 from dipole.exchange import Exchange, Once, Request
-from frames import EVAL, PING, R, eval_payload, frame
+from frames import EVAL, PING, READINGS, R, eval_payload, fit_payload, frame
 
 SKIN = [(0.032, 0.74, 0, 1.3), (0.17, 0.88, 0, 1.3), (0.48, 1.01, 0, 1.3)]
 RADII = [0.5, 1.0]
@@ -39,16 +39,20 @@ def test_the_second_channel_is_refused(client):
     assert client.ping() > 0
 
 
-def test_a_long_preparation_is_no_silence(daemon):
-    """The daemon says every ten seconds that it is at work, which no client takes for its reply."""
+def test_long_work_is_no_silence(daemon):
+    """The daemon says every five seconds that it is at work, which no client takes for its reply."""
     layers = [(0.02, 10.0 + i, 0.9, 1.4, 0.1) for i in range(320)]
-    one = daemon()
-    with one.connect() as connection, one.client() as client:
+    one = daemon("--workers", "1")
+    with one.connect() as connection, one.connect() as fitting, one.client() as client:
         info = client.info
         fields = {"model": info.choices["model"]["transport"].id, "medium_count": 40, "layer_count": 8, "wanted": R}
         tolerance = (info.choices["parameter"]["tolerance"].id, 1e-3)
         connection.send_bytes(frame(EVAL, 7, eval_payload(layers, parameters=[tolerance], **fields)))
+        slab = {"model": info.choices["model"]["better-multipole"].id, "thickness": 3.0}
+        sets = fit_payload([READINGS] * 1000, **slab)
+        fitting.send_bytes(frame(wire.MESSAGES["fit"], 8, sets))
         assert connection.receive_frame() == Frame(PING | wire.REPLY, 7, b"")
+        assert fitting.receive_frame() == Frame(PING | wire.REPLY, 8, b"")
     exchange = Exchange(0)
     request_id = exchange.begin(Request("eval", b"", lambda: Once(lambda reply: reply)))
     exchange.take(Frame(PING | wire.REPLY, request_id, b""))
