@@ -1,6 +1,7 @@
 /* bits [ISA]: evaluates a fixed, broad set of requests and prints a checksum of the bits of every
  * group of answers. Two machines, compilers or instruction sets that print the same gave the same
- * bits; tests/run-bits.sh compares them. Each kernel also evaluates its values again in slices of any
+ * bits; tests/run-bits.sh compares them with each other and with record.txt. A commit that changes
+ * the recorded bits says which and why. Each kernel also evaluates its values again in slices of any
  * length, at any alignment and in any lane, whatever stands beside: the program fails if one has
  * another bit.
  */
