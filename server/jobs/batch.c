@@ -1,6 +1,5 @@
 #include "server/jobs/batch.h"
 
-#include <assert.h>
 #include <math.h>
 #include <string.h>
 
@@ -57,13 +56,9 @@ static struct batch_group *find_group(struct batch *batch, struct stats *stats,
   return group;
 }
 
-bool batch_take(struct batch *batch, struct stats *stats, struct profiles_place place,
-                enum core_quantity quantity, size_t n, const void *r, void *to) {
-  if ((quantity & (CORE_QUANTITY_S | CORE_QUANTITY_MODEL_ERRORS)) != 0 ||
-      profiles_at(place) == NULL) {
-    return false;
-  }
-  struct batch_group *group = find_group(batch, stats, place.slot, quantity);
+static void add_radii(struct batch *batch, struct stats *stats, struct profiles_slot *slot,
+                      enum core_quantity quantity, size_t n, const void *r, void *to) {
+  struct batch_group *group = find_group(batch, stats, slot, quantity);
   if (group->piece_count == BATCH_PIECES || group->radius_count + n > BATCH_RADII) {
     evaluate_group(group, stats);
   }
@@ -71,6 +66,15 @@ bool batch_take(struct batch *batch, struct stats *stats, struct profiles_place 
   memcpy((uint8_t *)group->radii + group->radius_count * bytes, r, n * bytes);
   group->radius_count += n;
   group->pieces[group->piece_count++] = (struct batch_piece){to, (uint32_t)n};
+}
+
+bool batch_take(struct batch *batch, struct stats *stats, struct profiles_place place,
+                enum core_quantity quantity, size_t n, const void *r, void *to) {
+  if ((quantity & (CORE_QUANTITY_S | CORE_QUANTITY_MODEL_ERRORS)) != 0 ||
+      profiles_at(place) == NULL) {
+    return false;
+  }
+  add_radii(batch, stats, place.slot, quantity, n, r, to);
   return true;
 }
 
@@ -193,7 +197,8 @@ void batch_put_errors(const core_profile *profile, const core_profile *ruler, un
 }
 
 /* Writes the listed radii, if they are wanted, and the errors that hold for them. A request for a grid
- * needs none of this: it has the radii of the entry, whose reply states them and their errors. */
+ * needs none of this: it has the radii of the entry, whose reply states them and their errors. The slots
+ * hold the profiles that repeat_find() has seen, though another worker may evict them meanwhile. */
 static void put_listed(const struct repeat_entry *entry, const uint8_t *radii,
                        core_radii_range range, uint8_t *reply) {
   const core_requested_radii requested = {entry->grid, radii, range};
@@ -203,22 +208,21 @@ static void put_listed(const struct repeat_entry *entry, const uint8_t *radii,
   }
   for (size_t i = 0; i < entry->channel_count; i++) {
     const struct repeat_channel *channel = &entry->channels[i];
-    batch_put_errors(profiles_at(channel->profile),
-                     channel->compared ? profiles_at(channel->ruler) : NULL, entry->wanted, range,
+    batch_put_errors(&channel->profile.slot->profile,
+                     channel->compared ? &channel->ruler.slot->profile : NULL, entry->wanted, range,
                      &requested, at);
     at += (size_t)__builtin_popcount(entry->wanted) * WIRE_BYTES_quantity_error;
   }
 }
 
 /* Adds the radii to the passes of a channel's quantities. Returns the end of the channel's arrays. */
-static uint8_t *take_channel(const struct repeat_entry *entry, struct profiles_place place,
+static uint8_t *take_channel(const struct repeat_entry *entry, struct profiles_slot *slot,
                              struct batch *batch, struct stats *stats, const void *r, uint8_t *to) {
   const size_t used = entry->count * entry->value_bytes;
   for (unsigned left = entry->wanted; left != 0; left &= left - 1) {
     const unsigned quantity = left & ~(left - 1);
     if (eval_is_array(entry->wanted, quantity)) {
-      const bool taken = batch_take(batch, stats, place, quantity, entry->count, r, to);
-      assert(taken);
+      add_radii(batch, stats, slot, quantity, entry->count, r, to);
       memset(to + used, 0, entry->array_bytes - used);
       to += entry->array_bytes;
     }
@@ -235,7 +239,7 @@ void repeat_reply(const struct repeat_entry *entry, struct batch *batch, struct 
   }
   uint8_t *to = reply + entry->head_bytes;
   for (size_t channel = 0; channel < entry->channel_count; channel++) {
-    to = take_channel(entry, entry->channels[channel].profile, batch, stats, r, to);
+    to = take_channel(entry, entry->channels[channel].profile.slot, batch, stats, r, to);
     stats_add(stats, STATS_CACHE_HITS, 1 + entry->channels[channel].compared);
     stats_count_radii(stats, entry->model, entry->count);
   }
