@@ -488,7 +488,7 @@ quad form_truth(const form_model *form, form_values at, enum core_elementwise qu
     return form->known ? transfer(form, r) : (quad)NAN;
   case CORE_ELEMENTWISE_T: /* of half spaces */
     return form->part[0].medium.thickness_mm > 0 ? (quad)NAN : 0;
-  case CORE_ELEMENTWISE_BY_SIGMA_A: /* form_derivative() */
+  case CORE_ELEMENTWISE_BY_SIGMA_A: /* form_path() */
   case CORE_ELEMENTWISE_BY_SIGMA_S:
     return (quad)NAN;
   default:
@@ -509,30 +509,43 @@ static bool is_wide(const core_profile *profile, int quantity) {
   return profile->evaluator == CORE_EVALUATOR_F64 || quantity == FORM_ALBEDO;
 }
 
-void form_neighbours_prepare(form_neighbours *near, unsigned model, enum core_moments moments,
-                             const core_medium *medium, const core_parameters *parameters) {
-  static const int steps[] = {-2, -1, 1, 2};
-  const enum form_family family = form_family_of(model);
-  const bool exact = family == FORM_DIPOLE || family == FORM_BURLEY;
-  const double h = exact ? 0x1p-20 : 0x1p-12;
-  near->h = (quad)h;
-  for (int i = 0; i < FORM_NEIGHBOURS; i++) {
-    core_medium other = *medium;
-    double *sigma = i < 4 ? &other.sigma_a_per_mm : &other.sigma_s_per_mm;
-    const double before = *sigma;
-    *sigma *= 1 + steps[i % 4] * h;
-    assert((quad)*sigma == (quad)before * (1 + steps[i % 4] * (quad)h));
-    form_prepare(&near->at[i], model, moments, &other, parameters);
+/* ln R is a power series in u = sqrt(sigma_a), whose term in u is 0, as a path is finite at sigma_a = 0;
+ * Burley's profiles may have ln u. Its derivatives at u[0] are those of Newton's polynomial through
+ * values at the next u. */
+quad form_path(unsigned model, enum core_moments moments, const core_medium *medium,
+               const core_parameters *parameters, double r, quad *unsure) {
+  enum { NODES = 9 };
+  static form_model form;
+  quad u[NODES], by[NODES], path = 0;
+  core_medium other = *medium;
+  const double sigma_s_prime = medium->sigma_s_per_mm * (1 - medium->g);
+  const bool burley = form_family_of(model) == FORM_BURLEY;
+  const double start = sqrt(medium->sigma_a_per_mm), scale = sqrt(sigma_s_prime) + start;
+  const double step = 0x1p-12 * (burley ? start : scale) / (1 + r * scale * scale);
+  for (int i = 0; i < NODES; i++) {
+    other.sigma_a_per_mm = i == 0 ? medium->sigma_a_per_mm : pow(start + i * step, 2);
+    u[i] = sqrtf128((quad)other.sigma_a_per_mm);
+    form_prepare(&form, model, moments, &other, parameters);
+    by[i] = form_truth(&form, form_at(&form, r, false), CORE_ELEMENTWISE_LN_R, r);
   }
-}
-
-quad form_derivative(const form_neighbours *near, bool of_s, double r) {
-  quad ln_R[4];
-  for (int i = 0; i < 4; i++) {
-    const form_model *form = &near->at[i + (of_s ? 4 : 0)];
-    ln_R[i] = form_truth(form, form_at(form, r, true), CORE_ELEMENTWISE_LN_R, r);
+  for (int k = 1; k < NODES; k++) {
+    for (int i = NODES - 1; i >= k; i--) {
+      by[i] = (by[i] - by[i - 1]) / (u[i] - u[i - k]);
+    }
   }
-  return (8 * (ln_R[2] - ln_R[1]) - (ln_R[3] - ln_R[0])) / (12 * near->h);
+  for (int last = NODES - 2; last < NODES; last++) { /* without the last value, and with it */
+    quad term[4] = {by[last], 0, 0, 0};              /* of the Taylor series at u[0] */
+    for (int k = last - 1; k >= 0; k--) {
+      for (int i = 3; i > 0; i--) {
+        term[i] = term[i] * (u[0] - u[k]) + term[i - 1];
+      }
+      term[0] = term[0] * (u[0] - u[k]) + by[k];
+    }
+    const quad before = path; /* near 0 the quotient is that of the series */
+    path = burley || start > 1e-5 * step ? -term[1] / (2 * u[0]) : 1.5Q * term[3] * u[0] - term[2];
+    *unsure = fabsf128(path - before) + 1e-16Q * fabsf128(path);
+  }
+  return path;
 }
 
 quad form_allowed(const core_profile *profile, int quantity, double r, quad size) {

@@ -95,22 +95,9 @@ quad form_allowed(const core_profile *profile, int quantity, double r, quad size
 double form_share(const form_model *form, const core_profile *profile, int quantity, double r,
                   double value, quad truth, quad unsure);
 
-/* The same model for media whose sigma_a, then sigma_s, is times 1 - 2 h, 1 - h, 1 + h and 1 + 2 h,
- * for differences of ln R. */
-enum { FORM_NEIGHBOURS = 8 };
-typedef struct form_neighbours {
-  form_model at[FORM_NEIGHBOURS];
-  quad h;
-} form_neighbours;
-
-/* Prepares neighbours. sigma_a and sigma_s have at most 24 bits, so that those of the neighbours
- * are exact (asserted). */
-void form_neighbours_prepare(form_neighbours *near, unsigned model, enum core_moments moments,
-                             const core_medium *medium, const core_parameters *parameters);
-
-/* Returns d ln R / d ln sigma_a or, if of_s is true, d ln R / d ln sigma_s at r mm, r from above 0
- * to where R is not 0. Its error is below 1e-16 times its size for dipoles and Burley's profiles, else
- * below 1e-12 (1 + its size). */
-quad form_derivative(const form_neighbours *near, bool of_s, double r);
+/* Returns -d ln R / d sigma_a, mm, of dipoles, `single` and their sums, sigma_a from 0 on, and of Burley's
+ * profiles, NAN at sigma_a = 0. Sets *unsure to about its error. */
+quad form_path(unsigned model, enum core_moments moments, const core_medium *medium,
+               const core_parameters *parameters, double r, quad *unsure);
 
 #endif
