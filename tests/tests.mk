@@ -4,7 +4,7 @@ BENCH := $(call objects,$(wildcard tests/bench/*.c))
 # The longest ones come first, so that no processor waits for them at the end.
 TESTS := $(addprefix $(BUILD)/tests/,accuracy/test_transport_g accuracy/test_anisotropic unit/test_kernels accuracy/test_montecarlo accuracy/test_models)
 TESTS += $(filter-out $(TESTS),$(patsubst tests/%.c,$(BUILD)/tests/%,$(wildcard tests/accuracy/test_*.c tests/unit/test_*.c)))
-TEST_SUPPORT := $(call objects,$(filter-out $(wildcard tests/*/test_*.c) $(wildcard tests/accuracy/rings.c tests/accuracy/truth.c tests/bench/*.c tests/bits/*.c tests/e2e/*.c tests/fuzz/*.c tests/soak/*.c),$(wildcard tests/*/*.c))) $(ISOTROPIC)
+TEST_SUPPORT := $(call objects,$(filter-out $(wildcard tests/*/test_*.c) $(wildcard tests/accuracy/rings.c tests/accuracy/truth.c tests/bench/*.c tests/bits/*.c tests/e2e/*.c tests/fuzz/*.c),$(wildcard tests/*/*.c))) $(ISOTROPIC)
 
 # ---- programs ------------------------------------------------------------------------------------
 
@@ -27,9 +27,8 @@ $(patsubst %,$(OBJ)/tests/unit/test_%.o,cache choice profiles input worker): EXT
 $(OBJ)/tests/unit/test_modbus.o: EXTRA_CPPFLAGS = $(call cflags,libmodbus)
 
 $(BUILD)/bench: $(BENCH) $(BUILD)/libdipole.a
-$(BUILD)/soak-load: $(call objects,$(wildcard tests/soak/*.c)) $(BUILD)/libdipole.a
 $(OBJ)/tests/bench/bench_service.o: EXTRA_CPPFLAGS = $(TLS_CFLAGS)
-$(BUILD)/bench $(BUILD)/soak-load: LIBS = $(TLS_LIBS) $(CORE_LIBS)
+$(BUILD)/bench: LIBS = $(TLS_LIBS) $(CORE_LIBS)
 
 # The daemon, and a test can see how often it takes memory from the heap.
 $(BUILD)/dipoled-counting: $(SERVER) $(OBJ)/tests/e2e/count_allocations.o $(BUILD)/libproto.a $(BUILD)/libcore.a
@@ -48,7 +47,7 @@ $(FUZZ): EXTRA_CPPFLAGS = $(call cflags,libuv libmodbus)
 $(BUILD)/fuzz: $(FUZZ) $(filter-out %/main.o %/cli/complete.o,$(SERVER) $(CLI)) $(BUILD)/libdipole.a
 $(BUILD)/fuzz: LIBS = -fsanitize=fuzzer $(SERVER_LIBS) $(call libs,libpng lcms2 expat jansson) $(CORE_LIBS)
 
-PROGRAMS += $(TESTS) $(addprefix $(BUILD)/,bench soak-load dipoled-counting fuzz tests/bits tests/accuracy/truth tests/accuracy/rings)
+PROGRAMS += $(TESTS) $(addprefix $(BUILD)/,bench dipoled-counting fuzz tests/bits tests/accuracy/truth tests/accuracy/rings)
 
 # Debian's prometheus and promtool, taken out of the package: installing that would start a server.
 # The tests that need them say so if they are not to be had.
@@ -78,7 +77,7 @@ check-ci: ## packages in a new system, aarch64, long loads
 check-nightly: ## all that takes long, or PARTS of it; build/logs-nightly/ran says what ran when
 check-ci check-nightly:
 	@sh .ci/install-packages demo check deb ci
-	@$(MAKE) --no-print-directory -j2 all $(BUILD)/tests/bits $(BUILD)/soak-load
+	@$(MAKE) --no-print-directory -j2 all $(BUILD)/tests/bits
 	+@bash tests/run-check.sh $(BUILD)/logs-nightly $(PARTS); status=$$?; \
 	  echo "---- when each part ran last"; column -t $(BUILD)/logs-nightly/ran; exit $$status
 
@@ -112,7 +111,7 @@ check-services: all ## clients and systems of others around the programs
 
 # Those that parts of `make check-ci` and `make check-nightly` run.
 APART := $(SERVICES) $(addprefix tests/e2e/test_,packages.py pipeline.py figures.py plan.py)
-check-e2e: all $(BUILD)/dipoled-counting $(BUILD)/soak-load ## tests of the programs
+check-e2e: all $(BUILD)/dipoled-counting ## tests of the programs
 	$(PYTEST) -n 2 --dist loadfile --durations=20 $(APART:%=--ignore=%) tests/e2e
 
 # Runs the one test of tests/e2e that the variable TEST of the environment names.
@@ -123,10 +122,10 @@ check-again:
 check-packages: all
 	$(PYTEST) tests/e2e/test_packages.py
 
-check-soak: all $(BUILD)/soak-load
+check-soak: all
 	SOAK_S=15 $(PYTEST) -s tests/soak
 
-check-soak-long: all $(BUILD)/soak-load
+check-soak-long: all
 	SOAK_S=120 $(PYTEST) -s tests/soak
 
 # Ten thousand handshakes that somebody leaves half open, five thousand with faults, and a million
@@ -136,7 +135,7 @@ check-tls-long: all
 
 # Clients of all kinds behind HAProxy, while three daemons are killed and drained.
 BALANCER_S ?= 600
-check-balancer-long: all $(BUILD)/soak-load ## ten minutes behind HAProxy, BALANCER_S seconds if given
+check-balancer-long: all ## ten minutes behind HAProxy, BALANCER_S seconds if given
 	BALANCER_S=$(BALANCER_S) $(PYTEST) -k all_kinds tests/e2e/test_balancer.py
 
 check-blender: all ## colours in Debian's Blender (500 MB of packages)
@@ -164,17 +163,17 @@ check-plan: all
 check-figures: all
 	$(PYTEST) tests/e2e/test_figures.py
 
-# Eight threads, each with 256 requests under way.
+# Eight connections, each with 256 requests under way.
 PIPELINE_REQUESTS ?= 10000000
-check-pipeline: ## 10 million requests from eight threads, each answer compared
+check-pipeline: ## 10 million requests on eight connections, each answer compared
 	@sh .ci/install-packages
-	@$(MAKE) --no-print-directory -j2 all $(BUILD)/soak-load
+	@$(MAKE) --no-print-directory -j2 all
 	PIPELINE_REQUESTS=$(PIPELINE_REQUESTS) $(PYTEST) -s tests/e2e/test_pipeline.py
 
 SOAK_S ?= 600
 soak: ## ten minutes at full load, SOAK_S seconds if given: answers and memory
 	@sh .ci/install-packages
-	@$(MAKE) --no-print-directory -j2 all $(BUILD)/soak-load
+	@$(MAKE) --no-print-directory -j2 all
 	SOAK_S=$(SOAK_S) $(PYTEST) -s tests/soak
 
 SANITIZE_asan := address,undefined -fno-sanitize-recover=all

@@ -1,5 +1,7 @@
-/* dipole bench: how fast a daemon replies on one connection. */
+/* dipole bench: how fast a daemon replies. */
 #include <math.h>
+#include <pthread.h>
+#include <stdatomic.h>
 #include <stdlib.h>
 #include <string.h>
 
@@ -10,32 +12,48 @@
 
 enum {
   RADII_MAX = 1 << 22,
+  CONNECTIONS_MAX = 256,
   MEASUREMENTS = 3,
+  SHIFTS = 16, /* at how many radii requests begin in turn, so that neighbours differ */
   /* buckets of durations for each factor of two: quantiles are exact within 1 % */
   BUCKETS_OF_OCTAVE = 64,
   BUCKETS = 48 * BUCKETS_OF_OCTAVE
 };
 
-/* What was measured under a load. */
+/* What was measured under a load, on all connections. */
 typedef struct measured {
   const char *name;
-  unsigned in_flight; /* requests under way */
+  unsigned in_flight; /* requests under way on each connection */
   uint64_t radii;     /* how many radii each request has */
-  /* How long each request took, from submitting it to having its reply. */
-  uint64_t requests, most_ns;
-  uint32_t buckets[BUCKETS];
-  double took_s; /* from the first request to the last reply */
+  atomic_uint_fast64_t requests;
+  /* How long they took, from submitting one to having its reply. */
+  atomic_uint_fast32_t buckets[BUCKETS];
+  double took_s; /* from the first request to the last reply, on the first connection */
 } measured;
 
+/* A request that is under way, or room for one. */
+typedef struct slot {
+  uint64_t id, shift; /* shift: at which radius it begins */
+  uint64_t sent_ns;
+  uint8_t *values; /* the buffer for its reply */
+} slot;
+
+/* What a connection sends and what it has measured. */
 typedef struct report {
   const cli_settings *settings;
   dipole_client *client;
+  pthread_t thread; /* of any connection but the first */
   cli_profile profile;
-  void *radii;
   dipole_query query;
+  uint8_t *radii;
+  dipole_result *known; /* the first reply, at all radii */
+  uint8_t *values;      /* of its requests under way, which are in `slots` */
+  slot *slots;
   cli_progress progress;
   uint64_t requests; /* those of all measurements so far */
-  measured results[MEASUREMENTS];
+  measured *results; /* of all connections */
+  bool is_first, good;
+  dipole_error error;
 } report;
 
 /* Returns the duration, in us, that this share of the durations did not exceed: the middle of its
@@ -46,7 +64,7 @@ static double quantile_us(const measured *result, double share) {
   for (size_t i = 0; i < BUCKETS; i++) {
     before += result->buckets[i];
     if (result->buckets[i] > 0 && before >= wanted) {
-      return fmin(exp2(((double)i + 0.5) / BUCKETS_OF_OCTAVE), (double)result->most_ns) / 1000;
+      return exp2(((double)i + 0.5) / BUCKETS_OF_OCTAVE) / 1000;
     }
   }
   return 0;
@@ -59,20 +77,28 @@ static size_t value_bytes(const report *of) {
 
 /* ---- requests -------------------------------------------------------------------------------- */
 
-/* A request that is under way, or room for one. */
-typedef struct slot {
-  uint64_t id;
-  uint64_t sent_ns;
-  uint8_t *values; /* the buffer for its reply */
-} slot;
+/* Whether a reply has the bits that are known of its radii. */
+static bool is_right(const report *of, uint64_t radii, const slot *found) {
+  const size_t one = value_bytes(of), bytes = radii * one;
+  bool right = true;
+  for (uint32_t i = 0; i < of->query.medium_count; i++) {
+    const void *known = one == sizeof(double)
+                            ? (const void *)dipole_values_f64(of->known, i, DIPOLE_R)
+                            : dipole_values_f32(of->known, i, DIPOLE_R);
+    right = right && memcmp(found->values + i * bytes, (const uint8_t *)known + found->shift * one,
+                            bytes) == 0;
+  }
+  return right;
+}
 
-/* Waits for a reply and counts its duration. Its slot moves behind the `used` ones that are under
- * way. The search starts with the oldest request, whose reply is the likeliest to come. */
-static bool collect(report *of, measured *result, slot *slots, unsigned used, dipole_error *error) {
+/* Waits for a reply, counts its duration and checks it. Its slot moves behind the `used` ones that
+ * are under way. The search starts with the oldest request, whose reply is the likeliest to come. */
+static bool collect(report *of, measured *result, unsigned used) {
+  slot *slots = of->slots;
   dipole_result *reply;
   uint64_t id;
   unsigned i = 0;
-  if (!dipole_collect(of->client, &id, &reply, error)) {
+  if (!dipole_collect(of->client, &id, &reply, &of->error)) {
     return false;
   }
   dipole_result_free(reply);
@@ -82,10 +108,13 @@ static bool collect(report *of, measured *result, slot *slots, unsigned used, di
   const slot found = slots[i];
   const uint64_t now_ns = cli_now_ns(), ns = now_ns > found.sent_ns ? now_ns - found.sent_ns : 1;
   result->buckets[(size_t)fmin(BUCKETS_OF_OCTAVE * log2((double)ns), BUCKETS - 1)]++;
-  result->most_ns = ns > result->most_ns ? ns : result->most_ns;
   result->requests++;
   memmove(&slots[i], &slots[i + 1], (used - i - 1) * sizeof found);
   slots[used - 1] = found;
+  if (found.id != id || !is_right(of, result->radii, &found)) {
+    of->error = (dipole_error){.text = "a reply has other values than the first one"};
+    return false;
+  }
   return true;
 }
 
@@ -93,45 +122,42 @@ static bool collect(report *of, measured *result, slot *slots, unsigned used, di
 static bool is_over(report *of, const measured *result, uint64_t start_ns) {
   const double at = (double)(result - of->results), seconds = of->settings->seconds.value;
   const double share = (double)(cli_now_ns() - start_ns) / 1e9 / seconds;
-  cli_progress_show(&of->progress, (at + fmin(share, 1)) / MEASUREMENTS,
-                    (double)(of->requests + result->requests));
+  if (of->is_first) {
+    cli_progress_show(&of->progress, (at + fmin(share, 1)) / MEASUREMENTS,
+                      (double)(of->requests + result->requests));
+  }
   return share >= 1;
 }
 
-/* Sends requests and keeps `in_flight` of them under way. Before that it sends one that is not
- * counted, so that the daemon has prepared all it needs. */
-static bool run_load(report *of, measured *result, dipole_error *error) {
+/* Sends requests and keeps `in_flight` of them under way. */
+static bool run_load(report *of, measured *result) {
   dipole_query query = of->query;
-  dipole_result *reply;
   query.radius_count = result->radii;
-  if (!dipole_eval(of->client, &query, &reply, error)) {
-    return false;
-  }
-  dipole_result_free(reply);
   const size_t bytes = (size_t)(query.medium_count * result->radii * value_bytes(of) + 7) / 8 * 8;
-  uint8_t *values = cli_allocate(result->in_flight, bytes);
-  slot *slots = cli_allocate(result->in_flight, sizeof *slots);
   for (unsigned i = 0; i < result->in_flight; i++) {
-    slots[i].values = values + i * bytes;
+    of->slots[i].values = of->values + i * bytes;
   }
   const uint64_t start_ns = cli_now_ns();
-  unsigned used = 0;
+  unsigned used = 0, shift = 0;
   bool good = true;
   for (bool over = false; good && !(over && used == 0);) {
     while (good && !over && used < result->in_flight) {
-      query.into_values = slots[used].values;
-      slots[used].sent_ns = cli_now_ns();
-      good = dipole_submit(of->client, &query, &slots[used].id, error);
+      slot *next = &of->slots[used];
+      next->shift = shift++ % SHIFTS;
+      query.radii = of->radii + next->shift * value_bytes(of);
+      query.into_values = next->values;
+      next->sent_ns = cli_now_ns();
+      good = dipole_submit(of->client, &query, &next->id, &of->error);
       used += good;
     }
-    good = good && collect(of, result, slots, used, error);
+    good = good && collect(of, result, used);
     used -= good;
     over = over || is_over(of, result, start_ns);
   }
-  result->took_s = (double)(cli_now_ns() - start_ns) / 1e9;
-  of->requests += result->requests;
-  cli_free(slots);
-  cli_free(values);
+  if (of->is_first) {
+    result->took_s = (double)(cli_now_ns() - start_ns) / 1e9;
+    of->requests += result->requests;
+  }
   return good;
 }
 
@@ -143,15 +169,16 @@ static bool run_load(report *of, measured *result, dipole_error *error) {
 #define RADIUS_LEAST_MM 0.01
 #define RADIUS_MOST_MM 10.0
 
-/* How much memory the values under way may take. */
-#define VALUES_MAX_BYTES ((size_t)1 << 30)
+/* How many radii may be under way. */
+#define UNDER_WAY_MAX (UINT64_C(1) << 25)
 
 static int check(cli_settings *settings) {
   const double seconds = settings->seconds.value;
   const struct {
     const char *option;
     uint64_t value, most;
-  } counts[] = {{"in-flight", settings->in_flight.value, DIPOLE_IN_FLIGHT_MAX},
+  } counts[] = {{"connections", settings->connections.value, CONNECTIONS_MAX},
+                {"in-flight", settings->in_flight.value, DIPOLE_IN_FLIGHT_MAX},
                 {"radii", settings->radii.value, RADII_MAX},
                 {"large-radii", settings->large_radii.value, RADII_MAX}};
   if (!(seconds >= SECONDS_LEAST && seconds <= SECONDS_MOST)) {
@@ -163,6 +190,12 @@ static int check(cli_settings *settings) {
                             (unsigned long long)counts[i].most);
     }
   }
+  if (counts[0].value * counts[1].value * counts[2].value > UNDER_WAY_MAX) {
+    return cli_fail_usage(
+        "--connections, --in-flight, --radii: give less: their product is at most "
+        "%llu",
+        (unsigned long long)UNDER_WAY_MAX);
+  }
   if (!cli_medium_given(settings)) {
     static char name[] = MEDIUM_DEFAULT, *names[] = {name};
     settings->medium = (cli_texts){1, names, name};
@@ -170,22 +203,11 @@ static int check(cli_settings *settings) {
   return cli_medium_check(settings);
 }
 
-/* Checks how much memory the values take. */
-static int check_memory(const report *of) {
-  const size_t bytes = (size_t)(of->settings->in_flight.value * of->settings->radii.value) *
-                       of->profile.channel_count * sizeof(double);
-  return bytes <= VALUES_MAX_BYTES
-             ? CLI_OK
-             : cli_fail_usage("--in-flight, --radii: give less: together they take more than %zu "
-                              "MiB for values",
-                              VALUES_MAX_BYTES >> 20);
-}
-
 /* ---- what is requested --------------------------------------------------------------------------- */
 
 static void make_query(report *of) {
   const uint64_t small = of->settings->radii.value, large = of->settings->large_radii.value;
-  const uint64_t count = small > large ? small : large;
+  const uint64_t count = (small > large ? small : large) + SHIFTS;
   const bool single = of->profile.evaluator->id != DIPOLE_F64;
   const double step_mm = (RADIUS_MOST_MM - RADIUS_LEAST_MM) / (double)count;
   of->radii = cli_allocate(count, sizeof(double));
@@ -203,6 +225,7 @@ static void make_query(report *of) {
                              .wanted = DIPOLE_R,
                              CLI_MEDIA_OF(&of->profile),
                              .spacing = DIPOLE_LIST,
+                             .radius_count = count,
                              .radii = of->radii,
                              .parameters = of->profile.parameters.items,
                              .parameter_count = of->profile.parameters.count};
@@ -210,20 +233,53 @@ static void make_query(report *of) {
 
 /* ---- measuring ------------------------------------------------------------------------------- */
 
-static int measure(report *of) {
-  const cli_settings *settings = of->settings;
-  const uint64_t radii = settings->radii.value;
-  of->results[0] = (measured){"small", 1, radii, .took_s = 0};
-  of->results[1] = (measured){"pipelined", (unsigned)settings->in_flight.value, radii, .took_s = 0};
-  of->results[2] = (measured){"large", 1, settings->large_radii.value, .took_s = 0};
-  bool good = true;
-  dipole_error error;
-  cli_progress_start(&of->progress, "requests");
-  for (size_t i = 0; good && i < MEASUREMENTS; i++) {
-    good = run_load(of, &of->results[i], &error);
+/* Does all measurements on a connection. */
+static void *measure(void *argument) {
+  report *of = argument;
+  of->good = true;
+  for (size_t i = 0; of->good && i < MEASUREMENTS; i++) {
+    of->good = run_load(of, &of->results[i]);
   }
-  cli_progress_wipe(&of->progress);
-  return good ? CLI_OK : cli_fail_error(&error);
+  return NULL;
+}
+
+/* Measures on all connections, of which the first is open. Before that it sends a request with all
+ * radii, which is not counted: then the daemon has prepared what it needs. */
+static int measure_all(report *all) {
+  const uint64_t small = all->settings->radii.value, large = all->settings->large_radii.value;
+  const size_t count = all->settings->connections.value, in_flight = all->settings->in_flight.value;
+  if (!dipole_eval(all->client, &all->query, &all->known, &all->error)) {
+    return cli_fail_error(&all->error);
+  }
+  all->results[0] = (measured){"small", 1, small, .took_s = 0};
+  all->results[1] = (measured){"pipelined", (unsigned)in_flight, small, .took_s = 0};
+  all->results[2] = (measured){"large", 1, large, .took_s = 0};
+  for (size_t i = 0; i < count; i++) {
+    all[i] = all[0];
+    all[i].is_first = i == 0;
+    all[i].slots = cli_allocate(in_flight, sizeof(slot));
+    all[i].values =
+        cli_allocate(small * in_flight + large, all->query.medium_count * sizeof(double));
+    if (i > 0 && (all[i].client = cli_open(all->settings)) == NULL) {
+      return CLI_FAILED;
+    }
+  }
+  for (size_t i = 1; i < count; i++) {
+    if (pthread_create(&all[i].thread, NULL, measure, &all[i]) != 0) {
+      return cli_fail("no thread could be started: give fewer --connections");
+    }
+  }
+  cli_progress_start(&all->progress, "requests");
+  measure(all);
+  cli_progress_wipe(&all->progress);
+  report *failed = all;
+  for (size_t i = 1; i < count; i++) {
+    pthread_join(all[i].thread, NULL);
+    dipole_close(all[i].client);
+    failed = all[i].good ? failed : &all[i];
+  }
+  dipole_result_free(all->known);
+  return failed->good ? CLI_OK : cli_fail_error(&failed->error);
 }
 
 /* ---- writing --------------------------------------------------------------------------------- */
@@ -251,7 +307,7 @@ static void put_result(cli_rows *rows, const void *context, size_t index) {
   cli_put_number(rows, result->took_s, "seconds", .forms = CLI_IN_CSV | CLI_IN_JSON);
   put_figure(rows, "p50_us", "p50 us", 1, quantile_us(result, 0.5));
   put_figure(rows, "p99_us", "p99 us", 1, quantile_us(result, 0.99));
-  put_figure(rows, "max_us", "max us", 1, (double)result->most_ns / 1000);
+  put_figure(rows, "max_us", "max us", 1, quantile_us(result, 1));
   put_figure(rows, "requests_per_s", "requests/s", 1, per_s);
   put_figure(rows, "radii_per_s", "M radii/s", 1e6, radii_per_s * channels);
   put_figure(rows, "bytes_per_s", "MB/s", 1e6,
@@ -267,18 +323,20 @@ static void put_facts(cli_rows *rows, const void *context) {
   cli_put_count(rows, info->workers, "workers");
   cli_put_profile(rows, &of->profile);
   cli_put_count(rows, of->profile.channel_count, "channels");
+  cli_put_count(rows, of->settings->connections.value, "connections");
 }
 
 /* ---- the command ----------------------------------------------------------------------------- */
 
 static int run_bench(const cli_settings *settings, dipole_client *client) {
-  report *of = cli_allocate(1, sizeof *of);
-  *of = (report){.settings = settings, .client = client};
+  report *of = cli_allocate(settings->connections.value, sizeof *of);
+  *of = (report){.settings = settings,
+                 .client = client,
+                 .results = cli_allocate(MEASUREMENTS, sizeof *of->results)};
   int status = cli_profile_take(settings, client, &of->profile);
-  status = status == CLI_OK ? check_memory(of) : status;
   if (status == CLI_OK) {
     make_query(of);
-    status = measure(of);
+    status = measure_all(of);
   }
   if (status == CLI_OK) {
     const cli_report output = {
@@ -293,7 +351,8 @@ static const cli_option options[] = {
     CLI_OPTION(NAME, model, "better", "which model is evaluated"),
     CLI_OPTION(TEXT, evaluator, "f32", "f64, f32 or lut"),
     CLI_OPTION(NUMBER, seconds, "1", "how long each of the three is measured"),
-    CLI_OPTION(COUNT, in_flight, "64", "how many pipelined requests are under way"),
+    CLI_OPTION(COUNT, connections, "1", "how many connections send at the same time"),
+    CLI_OPTION(COUNT, in_flight, "64", "how many pipelined requests each has under way"),
     CLI_OPTION(COUNT, radii, "16", "how many radii a small request has"),
     CLI_OPTION(COUNT, large_radii, "65536", "how many radii a large request has"),
     {0},
@@ -306,7 +365,8 @@ const cli_command cli_command_bench = {
         "Requests are evaluations of R at listed radii, from 0.01 to 10 mm, of all channels of "
         "a medium (default: --medium skin1). Three things are measured, one after the other: "
         "small requests one at a time; small requests of which many are under way; and large "
-        "requests one at a time. A time is that from submitting a request to having its values, "
+        "requests one at a time. Each value is compared with that of a first reply, bit for bit. "
+        "A time is that from submitting a request to having its values, "
         "within 1 %; the time that this program takes is part of it. Radii and bytes count "
         "every channel; bytes are those of radii sent and values received. If others use the "
         "daemon at the same time, each of you gets a share of it.",

@@ -117,7 +117,7 @@ typedef struct cli_settings {
   cli_number tolerance;
   cli_number photons, error, total_error;
   cli_number seconds;
-  cli_count in_flight, radii, large_radii;
+  cli_count connections, in_flight, radii, large_radii;
 } cli_settings;
 
 /* ---- commands -------------------------------------------------------------------------------- */

@@ -150,8 +150,13 @@ $ dipole bench --radii 0
 ! `dipole bench --help` says more.
 ? 2
 
-$ dipole bench --in-flight 4096 --radii 65536
-! dipole bench: --in-flight, --radii: give less: together they take more than 1024 MiB for values
+$ dipole bench --connections 257
+! dipole bench: --connections: give a number from 1 to 256
+! `dipole bench --help` says more.
+? 2
+
+$ dipole bench --connections 64 --in-flight 64 --radii 65536
+! dipole bench: --connections, --in-flight, --radii: give less: their product is at most 33554432
 ! `dipole bench --help` says more.
 ? 2
 

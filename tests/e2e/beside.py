@@ -1,13 +1,12 @@
-"""What goes on beside a test: calls on threads of their own, and soak-load."""
+"""What goes on beside a test: calls on threads of their own, and loads of `dipole bench`."""
 
-import os
-import subprocess
+import json
 import threading
 from collections.abc import Callable
 
-from daemons import BUILD, eventually
-
-PATIENCE_S = 300.0
+import command_line
+import dipole
+from daemons import Daemon, eventually
 
 
 class Beside(threading.Thread):
@@ -39,40 +38,27 @@ class Beside(threading.Thread):
             raise self.failure
 
 
-class SoakLoad:
-    """A running soak-load, see tests/soak/load.c. answered: how many answers it has checked."""
+class Bench(Beside):
+    """`dipole bench`, which compares each answer with the first one, again and again. answered: how
+    many answers there were."""
 
-    def __init__(self, url: str, seed: int, kind: str = "evals", ca: str = ""):
-        pipes = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.PIPE)
-        command = [str(BUILD / "soak-load"), url, str(seed), kind]
-        env = os.environ | ({"DIPOLED_CA": ca} if ca else {})
-        self.process = subprocess.Popen(command, **pipes, env=env, text=True)
-        self.answered = 0
-        self._last_line = ""
-        self._reader = threading.Thread(target=self._read, daemon=True)
-        self._reader.start()
+    def __init__(self, url: str, *options: str, **env: str):
+        super().__init__(self.measure)
+        patience = "--retry-ms=60000", "--timeout-ms=240000"
+        self.command = ("bench", "--connect", url, "--format", "json", *patience, *options)
+        self.env, self.answered = env, 0
 
-    def _read(self) -> None:
-        for line in self.process.stdout:
-            self._last_line = line.strip()
-            if line.startswith("answered="):
-                self.answered = int(line.split()[0].removeprefix("answered="))
+    def measure(self) -> None:
+        """Lets it end once."""
+        measured = json.loads(command_line.dipole(*self.command, env=self.env).stdout)
+        self.answered += sum(one["requests"] for one in measured["rows"])
 
-    def goes_on(self) -> None:
-        """Waits until it knows all answers, and has checked some more of them."""
-        before = self.answered
-        assert eventually(lambda: self.process.poll() is not None or self.answered > before, PATIENCE_S)
-        assert self.process.poll() is None, self.process.stderr.read()
+    def reached(self, daemons: list[Daemon]) -> int:
+        """Waits until one of these daemons has answered many requests. Returns which one."""
 
-    def end(self) -> dict[str, int]:
-        """Ends it, and checks that it found no fault. Returns its counts."""
-        self.process.stdin.close()
-        status = self.process.wait(PATIENCE_S)
-        self._reader.join()
-        assert status == 0, self.process.stderr.read()
-        return {k: int(v) for k, v in (pair.split("=") for pair in self._last_line.split())}
+        def are_many(daemon: Daemon) -> bool:
+            with dipole.Client(daemon.urls[0]) as client:
+                return client.statistics()["requests_eval"] > 1000
 
-    def kill(self) -> None:
-        """Kills it."""
-        self.process.kill()
-        self.process.wait()
+        assert eventually(lambda: self.failure or any(map(are_many, daemons)))
+        return next((i for i, one in enumerate(daemons) if are_many(one)), 0)

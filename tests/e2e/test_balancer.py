@@ -19,7 +19,7 @@ from typing import NamedTuple
 import dipole
 import numpy as np
 import pytest
-from beside import SoakLoad
+from beside import Bench
 from daemons import BUILD, REPOSITORY, Daemon, eventually, finished
 from frames import SKIN
 from modbus_master import Lost, Tcp, input_block, write_read_pdu
@@ -262,17 +262,13 @@ class CommandLine(User):
 
 
 class Libdipole(User):
-    """soak-load, which compares each answer of libdipole with the first."""
+    """`dipole bench`, which compares each answer of libdipole with the first."""
 
     def ask(self) -> None:
-        load = SoakLoad(self.address, random.randrange(1000))
-        try:
-            while not self.ended.wait(0.05):
-                assert load.process.poll() is None, load.process.stderr.read()
-                self.answers = load.answered
-            load.end()
-        finally:
-            load.kill()
+        load = Bench(self.address, "--seconds", "0.3", "--connections", "3")
+        while not self.ended.is_set():
+            load.measure()
+            self.answers = load.answered
 
 
 class Master(User):

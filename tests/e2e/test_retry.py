@@ -11,7 +11,7 @@ import time
 
 import dipole
 import pytest
-from beside import SoakLoad
+from beside import Bench
 from command_line import Proxy, busy
 from daemons import BUILD, NOWHERE, PROGRAM, Daemon, eventually, finished, nowhere
 from frames import EVAL, SKIN, SPECTRALON, R, eval_payload, frame
@@ -25,30 +25,30 @@ class Restarted:
 
     def __init__(self, url: str):
         self._options = ("--max-frame-bytes", "1048576", "--max-part-bytes", "65536")
-        self._daemon = Daemon(*self._options, listen=[url])
+        self.daemon = Daemon(*self._options, listen=[url])
         self._late: threading.Timer | None = None
-        self.url = self._daemon.urls[0]  # This address has the actual port.
+        self.url = self.daemon.urls[0]  # This address has the actual port.
 
     def end(self, how: str | None = None) -> None:
         """Kills the daemon, or closes it and checks its end, by its transport unless `how` says which;
         starts another."""
-        getattr(self._daemon, how or ("kill" if self.url.startswith("unix:") else "close"))()
-        self._daemon = Daemon(*self._options, listen=[self.url])
+        getattr(self.daemon, how or ("kill" if self.url.startswith("unix:") else "close"))()
+        self.daemon = Daemon(*self._options, listen=[self.url])
 
     def pause_and_come_back(self) -> None:
         """Kills the daemon, and starts another only after clients have tried in vain."""
-        self._daemon.kill()
+        self.daemon.kill()
         self._late = threading.Timer(0.3, self._begin)
         self._late.start()
 
     def _begin(self) -> None:
-        self._daemon = Daemon(*self._options, listen=[self.url])
+        self.daemon = Daemon(*self._options, listen=[self.url])
 
     def close(self) -> None:
         """Stops the current daemon."""
         if self._late is not None:
             self._late.join()
-        self._daemon.close()
+        self.daemon.close()
 
 
 @pytest.fixture(params=["unix", "tcp"])
@@ -130,19 +130,13 @@ def test_python_clients_outlive_their_daemon(restarted):
 
 
 def test_libdipole_outlives_its_daemon(restarted):
-    """A libdipole client outlives its daemon. soak-load compares each answer with that of the first
-    daemon."""
-    loads = [SoakLoad(restarted.url, seed) for seed in (1, 2)]
-    try:
-        for _ in range(RESTARTS):
-            for load in loads:
-                load.goes_on()
+    """Each answer to `dipole bench` has the bits of the first daemon's, also those in parts."""
+    large = ("--radii", "200000", "--large-radii", "200000", "--in-flight", "4", "--connections", "2")
+    short = ("--seconds", "0.3")
+    with Bench(restarted.url, *short) as one, Bench(restarted.url, *short, *large):
+        for _ in range(2 * RESTARTS):
+            one.reached([restarted.daemon])
             restarted.end()
-        for load in loads:
-            load.end()
-    finally:
-        for load in loads:
-            load.kill()
 
 
 # It has to last for some reports: a daemon sends five in a second, and this machine may be a fast one.
