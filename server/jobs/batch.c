@@ -144,20 +144,28 @@ static bool profiles_are_there(size_t channel_count, const struct repeat_channel
   return true;
 }
 
-static bool is_listed(const struct repeat_entry *entry) {
-  return entry->payload_bytes > entry->request_bytes;
+/* Returns the bytes of the listed radii; 0 for a grid. */
+static size_t listed_bytes(const struct repeat_entry *entry) {
+  return entry->payload_bytes - entry->request_bytes;
 }
 
-const struct repeat_entry *repeat_find(struct repeat *repeat, const uint8_t *payload,
-                                       size_t payload_bytes, core_radii_range *radii) {
+/* Returns whether radii are those that the entry's start of a reply is for. */
+static bool are_last(const struct repeat_entry *entry, const uint8_t *radii) {
+  return listed_bytes(entry) <= sizeof entry->radii &&
+         memcmp(radii, entry->radii, listed_bytes(entry)) == 0;
+}
+
+struct repeat_entry *repeat_find(struct repeat *repeat, const uint8_t *payload,
+                                 size_t payload_bytes, core_radii_range *radii) {
   const size_t bytes = start_bytes(payload, payload_bytes);
   if (bytes == 0) {
     return NULL;
   }
-  const struct repeat_entry *entry = look_up(repeat, cache_hash(0, payload, bytes), payload, bytes);
+  struct repeat_entry *entry = look_up(repeat, cache_hash(0, payload, bytes), payload, bytes);
   return entry != NULL && entry->payload_bytes == payload_bytes &&
                  profiles_are_there(entry->channel_count, entry->channels) &&
-                 (!is_listed(entry) || radii_are_right(entry, payload + bytes, radii))
+                 (are_last(entry, payload + bytes) ||
+                  radii_are_right(entry, payload + bytes, radii))
              ? entry
              : NULL;
 }
@@ -166,7 +174,7 @@ const struct repeat_entry *repeat_find(struct repeat *repeat, const uint8_t *pay
 
 static const void *radii_of(const struct repeat_entry *entry, const uint8_t *payload,
                             double *radii) {
-  if (is_listed(entry)) {
+  if (listed_bytes(entry) > 0) {
     return payload + entry->request_bytes;
   }
   core_grid_radii(&entry->grid, 0, entry->count, entry->value_bytes == sizeof(float), radii);
@@ -196,15 +204,21 @@ void batch_put_errors(const core_profile *profile, const core_profile *ruler, un
   }
 }
 
-/* Writes the listed radii, if they are wanted, and the errors that hold for them. A request for a grid
- * needs none of this: it has the radii of the entry, whose reply states them and their errors. The slots
- * hold the profiles that repeat_find() has seen, though another worker may evict them meanwhile. */
-static void put_listed(const struct repeat_entry *entry, const uint8_t *radii,
-                       core_radii_range range, uint8_t *reply) {
+/* Remembers the start of a reply, and its radii, if they are not too many. */
+static void keep(struct repeat_entry *entry, const uint8_t *radii, const uint8_t *reply) {
+  memcpy(entry->reply, reply, entry->head_bytes);
+  memcpy(entry->radii, radii, listed_bytes(entry) <= sizeof entry->radii ? listed_bytes(entry) : 0);
+}
+
+/* Writes the listed radii, if they are wanted, and the errors that hold for them. The last radii, and
+ * those of a grid, need none of this: the entry's start of a reply states them and their errors. The
+ * slots hold the profiles that repeat_find() has seen, though another worker may evict them meanwhile. */
+static void put_listed(struct repeat_entry *entry, const uint8_t *radii, core_radii_range range,
+                       uint8_t *reply) {
   const core_requested_radii requested = {entry->grid, radii, range};
   uint8_t *at = reply + entry->errors_offset;
   if ((entry->wanted & CORE_QUANTITY_RADIUS) != 0) {
-    memcpy(reply + entry->radius_offset, radii, entry->payload_bytes - entry->request_bytes);
+    memcpy(reply + entry->radius_offset, radii, listed_bytes(entry));
   }
   for (size_t i = 0; i < entry->channel_count; i++) {
     const struct repeat_channel *channel = &entry->channels[i];
@@ -213,6 +227,7 @@ static void put_listed(const struct repeat_entry *entry, const uint8_t *radii,
                      &requested, at);
     at += (size_t)__builtin_popcount(entry->wanted) * WIRE_BYTES_quantity_error;
   }
+  keep(entry, radii, reply);
 }
 
 /* Adds the radii to the passes of a channel's quantities. Returns the end of the channel's arrays. */
@@ -230,11 +245,11 @@ static uint8_t *take_channel(const struct repeat_entry *entry, struct profiles_s
   return to;
 }
 
-void repeat_reply(const struct repeat_entry *entry, struct batch *batch, struct stats *stats,
+void repeat_reply(struct repeat_entry *entry, struct batch *batch, struct stats *stats,
                   const uint8_t *payload, core_radii_range range, double *radii, uint8_t *reply) {
   const void *r = radii_of(entry, payload, radii);
   memcpy(reply, entry->reply, entry->head_bytes);
-  if (is_listed(entry)) {
+  if (!are_last(entry, payload + entry->request_bytes)) {
     put_listed(entry, payload + entry->request_bytes, range, reply);
   }
   uint8_t *to = reply + entry->head_bytes;
@@ -301,5 +316,5 @@ void repeat_learn(struct repeat *repeat, const eval_request *request, const core
   entry->errors_offset = (size_t)layout->errors_offset;
   memcpy(entry->channels, channels, fixed->medium_count * sizeof *channels);
   memcpy(entry->request, payload, bytes);
-  memcpy(entry->reply, reply, entry->head_bytes);
+  keep(entry, payload + bytes, reply);
 }

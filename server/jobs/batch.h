@@ -76,6 +76,7 @@ enum {
   REPEAT_CHANNELS = 4,        /* the most channels of a request that is remembered */
   REPEAT_REQUEST_BYTES = 448, /* the longest, without its radii */
   REPEAT_REPLY_BYTES = 576,   /* the longest reply to it, without its arrays */
+  REPEAT_RADII_BYTES = 256,   /* the longest list of radii whose errors are not computed again */
 };
 
 /* A channel of a request. */
@@ -85,7 +86,7 @@ struct repeat_channel {
   bool compared;
 };
 
-/* A request that has been served, and the start of its reply. */
+/* A request that has been served, and the start of the reply to it with the last radii. */
 struct repeat_entry {
   uint64_t hash;
   size_t request_bytes; /* size up to the radii; 0 if the entry is empty */
@@ -103,6 +104,7 @@ struct repeat_entry {
   struct repeat_channel channels[REPEAT_CHANNELS];
   uint8_t request[REPEAT_REQUEST_BYTES];
   uint8_t reply[REPEAT_REPLY_BYTES];
+  uint8_t radii[REPEAT_RADII_BYTES]; /* the last ones, if they are listed and not too many */
 };
 
 /* The requests that one worker remembers; only its thread uses them. All members start as 0. */
@@ -122,14 +124,14 @@ void repeat_learn(struct repeat *repeat, const eval_request *request, const core
 
 /* Finds the remembered request that this one repeats. Returns NULL if there is none, if a profile
  * is gone, or if a radius is out of range; the caller then treats the request as a new one. If the
- * radii are listed, sets *radii to their range (core_radii_check_f64()). */
-const struct repeat_entry *repeat_find(struct repeat *repeat, const uint8_t *payload,
-                                       size_t payload_bytes, core_radii_range *radii);
+ * radii are listed and not the last ones, sets *radii to their range (core_radii_check_f64()). */
+struct repeat_entry *repeat_find(struct repeat *repeat, const uint8_t *payload,
+                                 size_t payload_bytes, core_radii_range *radii);
 
 /* Fills in a reply of entry->reply_bytes, whose values follow in batch_finish(). range: set by
  * repeat_find(); radii: working space for BATCH_SHORT_RADII numbers. Call it after repeat_find(),
  * before another profile is got. */
-void repeat_reply(const struct repeat_entry *entry, struct batch *batch, struct stats *stats,
+void repeat_reply(struct repeat_entry *entry, struct batch *batch, struct stats *stats,
                   const uint8_t *payload, core_radii_range range, double *radii, uint8_t *reply);
 
 #endif

@@ -10,7 +10,7 @@
 
 struct eval_job {
   struct job job;
-  const struct repeat_entry *repeated; /* the request that this one repeats; NULL: none */
+  struct repeat_entry *repeated; /* the request that this one repeats; NULL: none */
   const uint8_t *payload;              /* of the request, if it repeats another one */
 
   eval_request request; /* if the job is a sample: its radii are the numbers u */
