@@ -104,7 +104,7 @@ $(OBJ)/core/radii.o: override CFLAGS := $(CFLAGS) -O3 -fopenmp-simd -falign-loop
 # The hash of large sets of points, at the speed of libraries.
 $(OBJ)/proto/digest.o: override CFLAGS := $(CFLAGS) -O3 -funroll-loops
 # The sums of the table of solutions and of series, dense systems, and what writes and reads the numbers of JSON and CSV.
-$(addprefix $(OBJ)/,core/transport/table.o core/varying/rows.o core/cells/cells.o core/energy.o core/legendre.o core/solver/dense.o core/solver/layer.o core/evaluate.o proto/decimal.o $(addprefix server/http/,connection.o reply.o request.o text.o)): override CFLAGS := $(CFLAGS) -O3
+$(addprefix $(OBJ)/,core/transport/table.o core/varying/rows.o core/cells/cells.o core/energy.o core/legendre.o core/solver/dense.o core/solver/layer.o core/evaluate.o core/ruler.o proto/decimal.o proto/registers.o proto/schema.o server/modbus/translate.o $(addprefix server/http/,connection.o reply.o request.o text.o)): override CFLAGS := $(CFLAGS) -O3
 # Tables' lookups gather: 16 at a time take longer than twice 8.
 $(addprefix $(OBJ)/core/models/,surface.avx512.f32.o varying.avx512.f32.o): ISA_FLAGS_avx512 += -mprefer-vector-width=256
 $(SERVER): EXTRA_CPPFLAGS = $(call cflags,libuv libmicrohttpd libmodbus) $(TLS_CFLAGS)

@@ -39,12 +39,6 @@ const registers_field registers_fields[] = {
 #define WIDTH_TEXT 1
 #define WIDTH_BITS 1
 
-unsigned registers_width(enum registers_type type) {
-  static const unsigned widths[] = {WIDTH_U16, WIDTH_U32,  WIDTH_F32,
-                                    WIDTH_F64, WIDTH_TEXT, WIDTH_BITS};
-  return widths[type];
-}
-
 enum index {
 #define REGISTERS_FIELD(IDENT, ...) INDEX_##IDENT,
 #include "proto/registers.def"
@@ -84,18 +78,9 @@ static unsigned unmirrored(unsigned address) {
   return is_mirror(address) ? address - REGISTERS_MIRROR : address;
 }
 
-/* Whether the mirror swaps the words of values: it does if there are two. Such values start at even
- * addresses. */
-#define SWAP(TYPE) (WIDTH_##TYPE == 2)
-
-static const uint8_t swap_at[REGISTERS_END] = {
 #define REGISTERS_FIELD(IDENT, address, count, TYPE, ...)                                          \
-  [(address)...(address) + (count)*WIDTH_##TYPE - 1] = SWAP(TYPE),
-#include "proto/registers.def"
-};
-
-#define REGISTERS_FIELD(IDENT, address, count, TYPE, ...)                                          \
-  _Static_assert(!SWAP(TYPE) || (address) % 2 == 0, "the mirror is found by the lowest bit");
+  _Static_assert(WIDTH_##TYPE != 2 || (address) % 2 == 0, "the mirror is found by the lowest "     \
+                                                          "bit");
 #include "proto/registers.def"
 
 static bool is_mirrored(unsigned address) {
@@ -103,10 +88,13 @@ static bool is_mirrored(unsigned address) {
   return !is_mirror(address) && mirror < REGISTERS_END && block_at[mirror] > 0;
 }
 
-/* Returns where the image has a register, or that of a mirror. */
+/* Returns where the image has a register, or that of a mirror, which swaps the words of values of two. */
 static unsigned image_index(unsigned address) {
-  const unsigned base = unmirrored(address);
-  return base == address ? address : base ^ swap_at[base];
+  if (!is_mirror(address)) {
+    return address;
+  }
+  const registers_field *field = find_field(unmirrored(address));
+  return unmirrored(address) ^ (field != NULL && registers_width(field->type) == 2);
 }
 
 bool registers_readable(unsigned address, unsigned count) {
@@ -168,14 +156,10 @@ unsigned registers_of_error(const registers_job *job, wire_error *error) {
 
 /* ---- values ---------------------------------------------------------------------------------- */
 
-uint16_t registers_word(const uint16_t image[REGISTERS_END], unsigned address) {
-  return image[image_index(address)];
-}
-
 void registers_read(const uint16_t image[REGISTERS_END], unsigned address, unsigned count,
                     uint8_t *values) {
   for (unsigned i = 0; i < count; i++) {
-    const uint16_t word = registers_word(image, address + i);
+    const uint16_t word = image[image_index(address + i)];
     values[2 * i] = (uint8_t)(word >> 8);
     values[2 * i + 1] = (uint8_t)word;
   }
@@ -311,7 +295,7 @@ static const char *check_address(unsigned here, unsigned end, unsigned *at,
     return "a register of the map that can be written";
   }
   *width = registers_width((*field)->type);
-  const unsigned inside = *width > 1 ? (*at - (*field)->address) % *width : 0;
+  const unsigned inside = (*at - (*field)->address) & (*width - 1); /* of 1, 2 or 4 */
   *at -= inside;
   return inside == 0 && end - here >= *width ? NULL : "both registers of a value in one request";
 }
@@ -333,15 +317,20 @@ wire_error registers_check(unsigned address, unsigned count, const uint8_t *valu
   const unsigned end = address + count;
   const registers_field *field, *wrong = NULL; /* wrong: the first field whose value is wrong */
   unsigned width, wrong_at = 0;
-  for (unsigned here = address; here < end; here += width) {
+  for (unsigned here = address; here < end;) {
     const char *allowed = check_address(here, end, at, &field, &width);
     if (allowed != NULL) { /* counts are checked before values */
       return bad_address(allowed);
     }
-    if (wrong == NULL &&
-        !is_in_range(field, value_of(field, values + 2 * (here - address), here != *at))) {
-      wrong = field;
-      wrong_at = *at;
+    const bool swapped = here != *at;
+    const unsigned field_end = field->address + field->count * width;
+    for (unsigned base = *at; base < field_end && here + width <= end; base += width) {
+      if (wrong == NULL &&
+          !is_in_range(field, value_of(field, values + 2 * (here - address), swapped))) {
+        wrong = field;
+        wrong_at = base;
+      }
+      here += width;
     }
   }
   if (wrong != NULL) {

@@ -134,7 +134,9 @@ extern const registers_job registers_jobs[REGISTERS_JOBS];
 extern const registers_field registers_fields[];
 
 /* Returns how many registers one value takes. */
-unsigned registers_width(enum registers_type type);
+static inline unsigned registers_width(enum registers_type type) {
+  return type == REGISTERS_F64 ? 4 : type == REGISTERS_U32 || type == REGISTERS_F32 ? 2 : 1;
+}
 
 /* Sets an image to the defaults and constants of the map. */
 void registers_reset(uint16_t image[REGISTERS_END]);
@@ -177,7 +179,9 @@ static inline uint16_t registers_u16(const uint16_t *image, unsigned address) {
 }
 
 static inline uint32_t registers_u32(const uint16_t *image, unsigned address) {
-  return (uint32_t)image[address] << 16 | image[address + 1];
+  uint32_t words;
+  memcpy(&words, &image[address], sizeof words);
+  return words << 16 | words >> 16; /* on machines whose lowest byte is the first (proto/wire.c) */
 }
 
 static inline float registers_f32(const uint16_t *image, unsigned address) {
@@ -186,9 +190,6 @@ static inline float registers_f32(const uint16_t *image, unsigned address) {
   memcpy(&value, &bits, sizeof value);
   return value;
 }
-
-/* Returns the register at any address, of a mirror too. */
-uint16_t registers_word(const uint16_t image[REGISTERS_END], unsigned address);
 
 /* Reads `count` registers, as in a PDU. */
 void registers_read(const uint16_t image[REGISTERS_END], unsigned address, unsigned count,
@@ -200,8 +201,8 @@ static inline void registers_set_u16(uint16_t *image, unsigned address, unsigned
 }
 
 static inline void registers_set_u32(uint16_t *image, unsigned address, uint32_t value) {
-  image[address] = (uint16_t)(value >> 16);
-  image[address + 1] = (uint16_t)value;
+  const uint32_t words = value << 16 | value >> 16;
+  memcpy(&image[address], &words, sizeof words);
 }
 
 static inline void registers_set_f32(uint16_t *image, unsigned address, float value) {

@@ -215,9 +215,12 @@ double schema_number_at(const schema_field *field, const void *at) {
 }
 
 void schema_put_number(const schema_field *field, double number, void *at) {
-  const uint64_t integer = field->kind == SCHEMA_f64 ? 0 : (uint64_t)number;
-  memcpy(at, field->kind == SCHEMA_f64 ? (const void *)&number : (const void *)&integer,
-         field->bytes / field->count);
+  if (field->kind == SCHEMA_f64) {
+    memcpy(at, &number, sizeof number);
+  } else {
+    const uint64_t integer = (uint64_t)number;
+    memcpy(at, &integer, kind_bytes(field->kind));
+  }
 }
 
 /* Checks a value, and sets *error if it is wrong. */

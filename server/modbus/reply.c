@@ -58,10 +58,11 @@ static unsigned read_registers(struct modbus_unit *unit, const struct modbus_req
 static unsigned mask_register(struct modbus_unit *unit, const struct modbus_request *request,
                               struct client *client) {
   const unsigned address = request->write_address;
-  const unsigned before = address < REGISTERS_END ? registers_word(unit->registers, address) : 0;
-  const unsigned after =
-      (before & request->and_mask) | (request->or_mask & ~request->and_mask & 0xffff);
-  const uint8_t value[] = {(uint8_t)(after >> 8), (uint8_t)after};
+  uint8_t value[2] = {0, 0};
+  registers_read(unit->registers, address, address < REGISTERS_END, value);
+  const unsigned before = (unsigned)value[0] << 8 | value[1], mask = request->and_mask;
+  const unsigned after = (before & mask) | (request->or_mask & ~mask & 0xffff);
+  value[0] = (uint8_t)(after >> 8), value[1] = (uint8_t)after;
   return modbus_unit_write(unit, address, 1, value, client);
 }
 

@@ -214,7 +214,7 @@ bool modbus_translate_input(enum registers_job_kind kind, const uint16_t image[R
   if (request == NULL) {
     return false;
   }
-  memset(request, 0, REQUEST_BYTES);
+  memset(request, 0, payload->fixed_bytes);
   for (int i = 0; i < 2 && payload->structures[i] != NULL; i++) {
     put_fields(kind, payload->structures[i], "", image, 0, request + bytes);
     bytes += payload->structures[i]->bytes;
@@ -230,6 +230,7 @@ bool modbus_translate_input(enum registers_job_kind kind, const uint16_t image[R
     *layer_count = (uint32_t)preset->layer_count;
   }
   schema_lay_out(payload, request, UINT64_MAX, &layout, NULL);
+  memset(request + bytes, 0, (size_t)layout.payload_bytes - bytes);
   bytes = (size_t)layout.payload_bytes;
   assert(bytes + CORE_PARAMETERS_END * WIRE_BYTES_parameter <= REQUEST_BYTES);
   for (unsigned i = 0; payload->parts[i].name != NULL; i++) {
@@ -282,10 +283,9 @@ static double value_at(const struct values *values, unsigned index) {
  * now, become NaN. */
 static void set_values(uint16_t image[REGISTERS_END], unsigned single_at, unsigned double_at,
                        const struct values *values, unsigned count, unsigned count_before) {
-  const unsigned most = count > count_before ? count : count_before;
-  for (unsigned i = 0; i < most; i++) {
-    const bool there = i < count && values->at != NULL;
-    const double value = there ? value_at(values, i) : (double)NAN;
+  const unsigned there = values->at != NULL ? count : 0;
+  for (unsigned i = 0; i < count || i < count_before; i++) {
+    const double value = i < there ? value_at(values, i) : (double)NAN;
     registers_set_f32(image, single_at + 2 * i, (float)value);
     if (double_at > 0) {
       registers_set_f64(image, double_at + 4 * i, value);

@@ -83,8 +83,9 @@ UNIT_TEST(doubles_and_text) {
   assert_int_equal(image[REGISTERS_AT_ERROR_TEXT], 'a' << 8 | 'b');
   assert_int_equal(image[REGISTERS_AT_ERROR_TEXT + 1], 'c' << 8);
   assert_int_equal(image[REGISTERS_AT_ERROR_TEXT + 2], 0);
-  assert_int_equal(registers_word(image, REGISTERS_AT_ERROR_TEXT + REGISTERS_MIRROR),
-                   'a' << 8 | 'b');
+  uint8_t mirrored[2];
+  registers_read(image, REGISTERS_AT_ERROR_TEXT + REGISTERS_MIRROR, 1, mirrored);
+  assert_memory_equal(mirrored, "ab", 2);
 }
 
 UNIT_TEST(fields_of_requests_have_registers) {
