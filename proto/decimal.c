@@ -253,17 +253,19 @@ static inline size_t write_bits(bool negative, uint64_t magnitude, int precision
 size_t decimal_write(double value, char text[DECIMAL_BYTES]) {
   uint64_t bits;
   memcpy(&bits, &value, sizeof bits);
-  return isfinite(value) && value != 0 ? write_bits(bits >> 63, bits & (UINT64_MAX >> 1),
-                                                    DBL_MANT_DIG, DBL_MIN_EXP - DBL_MANT_DIG, text)
-                                       : write_name(value, text);
+  const uint64_t magnitude = bits & (UINT64_MAX >> 1), infinity = UINT64_C(0x7ff) << 52;
+  return magnitude - 1 < infinity - 1
+             ? write_bits(bits >> 63, magnitude, DBL_MANT_DIG, DBL_MIN_EXP - DBL_MANT_DIG, text)
+             : write_name(value, text);
 }
 
 size_t decimal_write_single(float value, char text[DECIMAL_BYTES]) {
   uint32_t bits;
   memcpy(&bits, &value, sizeof bits);
-  return isfinite(value) && value != 0 ? write_bits(bits >> 31, bits & (UINT32_MAX >> 1),
-                                                    FLT_MANT_DIG, FLT_MIN_EXP - FLT_MANT_DIG, text)
-                                       : write_name((double)value, text);
+  const uint32_t magnitude = bits & (UINT32_MAX >> 1), infinity = UINT32_C(0xff) << 23;
+  return magnitude - 1 < infinity - 1
+             ? write_bits(bits >> 31, magnitude, FLT_MANT_DIG, FLT_MIN_EXP - FLT_MANT_DIG, text)
+             : write_name((double)value, text);
 }
 
 /* ---- reading --------------------------------------------------------------------------------- */

@@ -48,7 +48,7 @@ static void write_one(struct text *text, const char *key, enum schema_kind kind,
 }
 
 static void write_field(struct text *text, const schema_field *field, const uint8_t *at) {
-  const size_t bytes = field->bytes / field->count;
+  const size_t bytes = field->count == 1 ? field->bytes : field->bytes / field->count;
   if (field->list != NULL) {
     write_choice(text, field, (unsigned)get_count(at, bytes));
   } else if (field->kind == SCHEMA_text) {

@@ -2,7 +2,6 @@
 
 #include <assert.h>
 #include <math.h>
-#include <stdio.h>
 #include <string.h>
 
 #include "proto/decimal.h"
@@ -90,8 +89,9 @@ void http_text_string(struct text *text, const char *key, const char *string) {
 }
 
 static size_t write_number(double value, char *at) {
-  if (isfinite(value) && value != 0) {
-    return decimal_write(value, at);
+  const size_t length = decimal_write(value, at);
+  if (at[length - 1] <= '9' && value != 0) {
+    return length; /* of a number, which ends with a digit */
   }
   /* Some readers take -0 for an integer, and lose its sign. */
   const char *name = value == 0     ? (signbit(value) ? "-0.0" : "0")
@@ -126,9 +126,12 @@ void http_text_numbers(struct text *text, const char *key, const void *values, u
 }
 
 void http_text_count(struct text *text, const char *key, uint64_t value) {
-  char digits[24];
-  snprintf(digits, sizeof digits, "%llu", (unsigned long long)value);
-  http_text_raw(text, key, digits);
+  char digits[24] = "", *first = &digits[sizeof digits - 1];
+  do {
+    *--first = (char)('0' + value % 10);
+    value /= 10;
+  } while (value > 0);
+  http_text_raw(text, key, first);
 }
 
 void http_text_raw(struct text *text, const char *key, const char *json) {
