@@ -79,7 +79,7 @@ static void *allocate(size_t bytes) {
   return memory;
 }
 
-static void release(void *piece) {
+static void release_piece(void *piece) {
   if ((uintptr_t)piece - (uintptr_t)page >= PAGE_BYTES) {
     free(piece);
   }
@@ -1031,7 +1031,7 @@ wire_error http_request_translate(const schema_message *message, char *text, siz
   wire_error error = wire_error_none();
   lacks_memory = false;
   page_used = 0;
-  json_set_alloc_funcs(allocate, release);
+  json_set_alloc_funcs(allocate, release_piece);
   json_t *values = in_query ? parse_query(text, &error)
                             : parse_json(text, text_bytes, bytes_max / BRACKET_BYTES, &error);
   struct translation t = {.message = message,

@@ -205,7 +205,7 @@ void batch_put_errors(const core_profile *profile, const core_profile *ruler, un
 }
 
 /* Remembers the start of a reply, and its radii, if they are not too many. */
-static void keep(struct repeat_entry *entry, const uint8_t *radii, const uint8_t *reply) {
+static void keep_head(struct repeat_entry *entry, const uint8_t *radii, const uint8_t *reply) {
   memcpy(entry->reply, reply, entry->head_bytes);
   memcpy(entry->radii, radii, listed_bytes(entry) <= sizeof entry->radii ? listed_bytes(entry) : 0);
 }
@@ -227,7 +227,7 @@ static void put_listed(struct repeat_entry *entry, const uint8_t *radii, core_ra
                      &requested, at);
     at += (size_t)__builtin_popcount(entry->wanted) * WIRE_BYTES_quantity_error;
   }
-  keep(entry, radii, reply);
+  keep_head(entry, radii, reply);
 }
 
 /* Adds the radii to the passes of a channel's quantities. Returns the end of the channel's arrays. */
@@ -316,5 +316,5 @@ void repeat_learn(struct repeat *repeat, const eval_request *request, const core
   entry->errors_offset = (size_t)layout->errors_offset;
   memcpy(entry->channels, channels, fixed->medium_count * sizeof *channels);
   memcpy(entry->request, payload, bytes);
-  keep(entry, payload + bytes, reply);
+  keep_head(entry, payload + bytes, reply);
 }
