@@ -161,8 +161,11 @@ void core_varying_gradient_f64(const core_varying *varying, size_t n, const doub
 /* ---- from colours to media ------------------------------------------------------------------- */
 
 /* The albedo of a medium from core_varying_invert() is off from the colour, per power
- * that entered, by less than this, absolute, for eta up to 3. (For eta of 10 it is 1e-3.) */
+ * that entered, by less than this, absolute, for these eta. (For eta of 10 it is 1e-3, for 1000 it
+ * is 0.9.) */
 #define CORE_COLOUR_ERROR 1e-5
+#define CORE_COLOUR_ETA_MIN 0.01
+#define CORE_COLOUR_ETA_MAX 4
 
 /* What a colour means. */
 typedef struct core_colour {
@@ -179,7 +182,8 @@ core_fault core_light_check(unsigned model, enum core_light light);
 /* Returns the share of the light striking the surface that the surface itself reflects (Fresnel). */
 double core_specular(enum core_light light, double eta);
 
-/* Returns a fault if the model does not know this light (`light`) or length (`length`). */
+/* Returns a fault if the model does not know this light (`light`) or length (`length`), or does not
+ * keep CORE_COLOUR_ERROR (`eta`). */
 core_fault core_colour_check(const core_varying *varying, const core_colour *what);
 
 /* Sets sigma_a[n] and sigma_s[n], in 1/mm, to the media of the colours (diffuse albedos) colour[n]

@@ -431,6 +431,9 @@ core_fault core_colour_check(const core_varying *varying, const core_colour *wha
   if (core_choice_by_id(core_lengths, what->length) == NULL) {
     return (core_fault){"length", "a length of the list", 0};
   }
+  if (!(varying->eta >= CORE_COLOUR_ETA_MIN && varying->eta <= CORE_COLOUR_ETA_MAX)) {
+    return (core_fault){"eta", "0.01 to 4 with colours", 0};
+  }
   return (core_fault){0};
 }
 

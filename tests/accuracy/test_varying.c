@@ -455,7 +455,9 @@ static void round_trips(unsigned model, double g, double eta, size_t count, uint
 UNIT_TEST(colours_lead_to_media_that_have_them) {
   uint64_t random = unit_seed();
   for (size_t m = 0; m < DIPOLES; m++) {
-    round_trips(dipoles[m], 0.5, unit_random_between(&random, 0.6, 3), 200, &random);
+    round_trips(dipoles[m], 0.5,
+                unit_random_between(&random, CORE_COLOUR_ETA_MIN, CORE_COLOUR_ETA_MAX), 200,
+                &random);
   }
   round_trips(CORE_MODEL_TRANSPORT, 0, 1.4, count_of("VARYING_SOLVED", 10), &random);
   round_trips(CORE_MODEL_TRANSPORT, 0.8, 2.1, 200, &random);
