@@ -48,14 +48,10 @@ class Moments(NamedTuple):
     eta_max: float
 
 
-# by name: the id, and what follows the name
-_MODELS = {
-    name: (int(number), about)
-    for number, name, about in re.findall(
-        r'(?:MODEL|SUM)\((\d+), \w+, "(.*?)",([^"]*)', read_list("core/models.def")
-    )
+MODELS = {
+    name: int(number)
+    for number, name in re.findall(r'(?:MODEL|SUM)\((\d+), \w+, "(.*?)"', read_list("core/models.def"))
 }
-MODELS = {name: number for name, (number, _) in _MODELS.items()}
 MOMENTS = {
     name: Moments(int(number), *map(float, rest.split(",")[-2:]))
     for number, _, name, rest in entries("MOMENTS")
@@ -77,15 +73,7 @@ QUANTITIES = choices("QUANTITY")
 DERIVATIVES = sum(
     QUANTITIES[name] for name in ("dlnR_dln_sigma_a", "dlnR_dln_sigma_s", "path", "dpf", "time")
 )
-MODULATED = sum(  # with the parameter mhz
-    QUANTITIES[name] for name in ("phase", "modulation", "phase_f", "modulation_f")
-)
 BALANCE = QUANTITIES["balance"]  # of transport alone
-
-
-def has_derivatives(model: str) -> bool:
-    """Whether the model has the quantities DERIVATIVES."""
-    return "DERIVES" in _MODELS[model.removesuffix("+single")][1]
 
 
 # ---- what only a daemon can tell -----------------------------------------------------------------

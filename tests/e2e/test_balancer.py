@@ -10,7 +10,6 @@ import random
 import shutil
 import socket
 import subprocess
-import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -19,7 +18,7 @@ from typing import NamedTuple
 import dipole
 import numpy as np
 import pytest
-from beside import Bench
+from beside import Beside, Bench
 from daemons import BUILD, REPOSITORY, Daemon, eventually, finished
 from frames import SKIN
 from modbus_master import Lost, Tcp, input_block, write_read_pdu
@@ -171,23 +170,15 @@ COMMANDS = [
 ]
 
 
-class User(threading.Thread):
+class User(Beside):
     """A client that asks until it is told to end. Each kind has its own ask()."""
 
     def __init__(self, farm: Farm):
-        super().__init__(name=type(self).__name__)
+        super().__init__(self.ask)
         self.address = farm.address
         self.modbus = farm.modbus
         self.known: dict[object, object] = {}  # the first answer to each question
         self.answers = self.retries = 0
-        self.ended = threading.Event()
-        self.error: BaseException | None = None
-
-    def run(self) -> None:
-        try:
-            self.ask()
-        except BaseException as error:  # The test's own thread raises it.
-            self.error = error
 
     def ask(self) -> None:
         raise NotImplementedError
@@ -203,7 +194,7 @@ class User(threading.Thread):
 
     def check(self, which: object, answer: object) -> None:
         """Compares an answer with the first one to the same question."""
-        assert answer == self.known.setdefault(which, answer), f"{self.name}: {which}"
+        assert answer == self.known.setdefault(which, answer), f"{type(self).__name__}: {which}"
         self.answers += 1
 
 
@@ -254,11 +245,10 @@ class CommandLine(User):
     """`dipole`, one command after the other."""
 
     def ask(self) -> None:
-        while not self.ended.is_set():
-            for words in COMMANDS:
-                said = finished(str(BUILD / "dipole"), *words, "--connect", self.address)
-                assert (said.returncode, said.stderr) == (0, ""), said
-                self.check(" ".join(words), said.stdout)
+        for words in COMMANDS:
+            said = finished(str(BUILD / "dipole"), *words, "--connect", self.address)
+            assert (said.returncode, said.stderr) == (0, ""), said
+            self.check(" ".join(words), said.stdout)
 
 
 class Libdipole(User):
@@ -266,9 +256,8 @@ class Libdipole(User):
 
     def ask(self) -> None:
         load = Bench(self.address, "--seconds", "0.3", "--connections", "3")
-        while not self.ended.is_set():
-            load.measure()
-            self.answers = load.answered
+        load.measure()
+        self.answers += load.answered
 
 
 class Master(User):
@@ -277,34 +266,32 @@ class Master(User):
     again."""
 
     def ask(self) -> None:
-        while not self.ended.is_set():
-            try:
-                with Tcp(self.modbus) as master:
-                    while not self.ended.is_set():
-                        number = self.answers % 7
-                        radii = [0.1 * (number + k + 1) for k in range(20)]
-                        block = input_block(1 + number, radii=radii)
-                        pdu = write_read_pdu(100, block, 312, 2 * len(radii))
-                        answer = master.ask(pdu)
-                        assert len(answer) == 1 + 4 * len(radii)
-                        self.check(number, answer)
-                        time.sleep(0.005)
-            except (Lost, OSError):
-                self.retries += 1
-                time.sleep(0.02)
+        try:
+            with Tcp(self.modbus) as master:
+                while not self.ended.wait(0.005):
+                    number = self.answers % 7
+                    radii = [0.1 * (number + k + 1) for k in range(20)]
+                    block = input_block(1 + number, radii=radii)
+                    pdu = write_read_pdu(100, block, 312, 2 * len(radii))
+                    answer = master.ask(pdu)
+                    assert len(answer) == 1 + 4 * len(radii)
+                    self.check(number, answer)
+        except (Lost, OSError):
+            self.retries += 1
+            time.sleep(0.02)
 
 
 def test_clients_of_all_kinds_while_daemons_end(farm, capfd):
     """Every two seconds or so a daemon is killed or drained, and started again a moment later. No
     answer is lost or wrong, and no client that retries says anything of it."""
-    users = [kind(farm) for kind in (Python, Asyncio, CommandLine, Libdipole, Master)]
-    for one in users:
-        one.start()
     dice, killed, drained = random.Random(22), 0, 0
-    try:
-        assert eventually(lambda: all(one.error or one.answers > 20 for one in users), 120)
+    with contextlib.ExitStack() as stack:
+        users = [
+            stack.enter_context(kind(farm)) for kind in (Python, Asyncio, CommandLine, Libdipole, Master)
+        ]
+        assert eventually(lambda: all(one.failure or one.answers > 20 for one in users), 120)
         end_s = time.monotonic() + BALANCER_S
-        while time.monotonic() < end_s and not any(one.error for one in users):
+        while time.monotonic() < end_s and not any(one.failure for one in users):
             before = [one.answers for one in users]
             which = dice.randrange(3)
             if killed == drained:
@@ -317,16 +304,10 @@ def test_clients_of_all_kinds_while_daemons_end(farm, capfd):
             farm.daemons[which] = Farm.begin(farm.places[which])
             time.sleep(1.5)  # HAProxy looks once a second which daemons are there.
             assert eventually(
-                lambda: all(one.error or one.answers > n for one, n in zip(users, before)), 120
+                lambda: all(one.failure or one.answers > n for one, n in zip(users, before)), 120
             )
-    finally:
-        for one in users:
-            one.ended.set()
-        for one in users:
-            one.join(180)
     with capfd.disabled():
         print(f"\nbalancer: {killed} daemons killed, {drained} drained", end="")
         for one in users:
-            print(f"; {one.name}: {one.answers} answers, {one.retries} retries", end="")
-    assert [one.error for one in users] == [None] * len(users)
+            print(f"; {type(one).__name__}: {one.answers} answers, {one.retries} retries", end="")
     assert killed + drained >= BALANCER_S / 60

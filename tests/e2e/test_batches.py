@@ -2,7 +2,7 @@
 of single requests, and in steady state they allocate no memory."""
 
 import random
-import threading
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -80,36 +80,21 @@ def mixed_payloads(seed: int) -> list[bytes]:
     return payloads
 
 
-class Pipeline(threading.Thread):
-    """A thread that sends requests over a connection of its own without waiting, and collects the
-    answers."""
-
-    def __init__(self, daemon, requests: dict[int, bytes], scheme: str):
-        super().__init__()
-        self._connection = daemon.connect(scheme)
-        self._requests = requests
-        self.answers: dict[int, tuple[int, bytes]] = {}
-        self.start()
-
-    def run(self) -> None:
-        with self._connection as connection:
-            data = [frame(EVAL, i, payload) for i, payload in self._requests.items()]
-            connection.send_bytes(b"".join(data))
-            for _ in data:
-                reply = connection.receive_frame()
-                self.answers[reply.request_id] = (reply.type, reply.payload)
-
-
 def pipelined(daemon, payloads: list[bytes], connections: int) -> list[tuple[int, bytes]]:
-    """Returns the answers to all requests, which are spread over some connections."""
-    threads = []
-    for i in range(connections):
-        share = {k: payloads[k] for k in range(i, len(payloads), connections)}
-        threads.append(Pipeline(daemon, share, ("unix", "tcp")[i % 2]))
+    """Returns the answers to all requests, which are spread over some connections, and sent without
+    waiting."""
     answers: dict[int, tuple[int, bytes]] = {}
-    for thread in threads:
-        thread.join()
-        answers |= thread.answers
+
+    def ask_share(first: int) -> None:
+        numbers = range(first, len(payloads), connections)
+        with daemon.connect(("unix", "tcp")[first % 2]) as connection:
+            connection.send_bytes(b"".join(frame(EVAL, i, payloads[i]) for i in numbers))
+            for _ in numbers:
+                reply = connection.receive_frame()
+                answers[reply.request_id] = (reply.type, reply.payload)
+
+    with ThreadPoolExecutor(connections) as pool:
+        list(pool.map(ask_share, range(connections)))
     return [answers[i] for i in range(len(payloads))]
 
 

@@ -1,7 +1,7 @@
 """Monte Carlo jobs: tables, progress, how jobs end, and that they do not disturb other work."""
 
 import signal
-import threading
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import dipole
@@ -187,19 +187,13 @@ def test_jobs_take_turns(daemon):
 
 def test_many_clients_at_a_time(daemon):
     one = daemon("--max-mc-jobs", "8", "--mc-threads", "3")
-    tables: list[bytes] = []
 
-    def work() -> None:
+    def work(_: int) -> set[bytes]:
         with one.client() as client:
-            for _ in range(4):
-                tables.append(client.mc(TISSUE, EDGES, photons=10 * BATCH).payload)
+            return {client.mc(TISSUE, EDGES, photons=10 * BATCH).payload for _ in range(4)}
 
-    threads = [threading.Thread(target=work) for _ in range(8)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    assert len(tables) == 32 and len(set(tables)) == 1
+    with ThreadPoolExecutor(8) as pool:
+        assert len(set().union(*pool.map(work, range(8)))) == 1
     assert no_job_open(one) and statistic(one, "mc_photons_walked") == 320 * BATCH
 
 

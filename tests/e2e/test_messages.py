@@ -435,10 +435,10 @@ def lies_about(message: str) -> dict[str, Callable[[int, bytes], list[bytes]]]:
     payloads in its place."""
     structure = reply_structure(message)
 
-    def changed(name: str, since: int = 0) -> Callable[[int, bytes], list[bytes]]:
+    def changed(name: str, since: int = 0, by: int = 1) -> Callable[[int, bytes], list[bytes]]:
         def lie(number: int, payload: bytes) -> list[bytes]:
             fixed = structure.unpack(payload)._asdict()
-            fixed[name] += number >= since
+            fixed[name] += by * (number >= since)
             return [structure.pack(**fixed) + payload[structure.bytes :]]
 
         return lie
@@ -450,6 +450,8 @@ def lies_about(message: str) -> dict[str, Callable[[int, bytes], list[bytes]]]:
         "8 more": lambda number, payload: [payload + bytes(8)],
         **{f"another {name}": changed(name) for name in numbers if name not in CHOSEN},
     }
+    for name in {one.name for one in structure.fields} & {"computed_count", "fitted_count", "missing_count"}:
+        lies[f"{name} beyond all items"] = changed(name, by=2**20)
     if message in ("eval", "sample"):
         lies["another albedo later"] = lambda number, payload: [
             payload if number == 0 else payload[: structure.bytes] + b"\x01" + payload[structure.bytes + 1 :]

@@ -1,11 +1,11 @@
 """Overload: large requests get BUSY with a hint when to retry, small ones are still answered, and a
 client that does not read harms nobody."""
 
-import threading
 from contextlib import ExitStack
 
 import numpy as np
 import pytest
+from beside import Beside
 from daemons import eventually
 from dipole import Connection, wire
 from frames import EVAL, FIT_REQUEST, INVERT, RADIUS, READINGS, SAMPLE, SKIN, VARYING, R, ask
@@ -96,28 +96,16 @@ def test_a_few_connections_with_endless_work_keep_nobody_out(daemon):
     Other requests are still admitted."""
     one = daemon("--workers", "1", "--drain-timeout-ms", "100")
     endless = frame(EVAL, 1, eval_payload(radii=None, radius_count=2**40, wanted=R))
-    ended = threading.Event()
-
-    def read(connection: Connection) -> None:
-        connection.send_bytes(endless)
-        while not ended.is_set():
-            connection.receive_bytes(1 << 16)
-
     with one.connect() as first, one.connect() as second, one.connect() as other:
-        readers = [threading.Thread(target=read, args=(c,)) for c in (first, second)]
-        for reader in readers:
-            reader.start()
-        try:
+        for reader in (first, second):
+            reader.send_bytes(endless)
+        with Beside(lambda: first.receive_bytes(1 << 16)), Beside(lambda: second.receive_bytes(1 << 16)):
             assert eventually(lambda: statistics(other)["owed_radii"] > 1.5 * 2**40)
             assert ask(other, EVAL, LARGE).type == EVALUATED
             for type, large in ((SAMPLE, sample(1000)), (INVERT, invert(100))):
                 assert ask(other, type, large).type == type | wire.REPLY
             other.send_bytes(endless)  # A third connection may have an endless request, too.
             assert other.receive_frame().type == EVALUATED
-        finally:
-            ended.set()
-            for reader in readers:
-                reader.join()
 
 
 def test_other_workers_have_less_to_do(daemon):

@@ -2,6 +2,7 @@
 and repeat their requests, and every request gets its correct answer once."""
 
 import asyncio
+import contextlib
 import functools
 import itertools
 import re
@@ -11,7 +12,7 @@ import time
 
 import dipole
 import pytest
-from beside import Bench
+from beside import Beside, Bench
 from command_line import Proxy, busy
 from daemons import BUILD, NOWHERE, PROGRAM, Daemon, eventually, finished, nowhere
 from frames import EVAL, SKIN, SPECTRALON, R, eval_payload, frame
@@ -79,54 +80,25 @@ QUESTIONS = [
 ]
 
 
-class Asking(threading.Thread):
-    """A thread that always has 16 outstanding requests, and checks every answer."""
-
-    def __init__(self, url: str, known: list[tuple]):
-        super().__init__()
-        self.answered = 0
-        self.ends = threading.Event()
-        self.failure: BaseException | None = None
-        self._known = known
-        self._client = dipole.Client(url, retry_s=RETRY_S)
-
-    def run(self) -> None:
-        try:
-            with self._client:
-                self._ask()
-        except BaseException as failure:  # The test's own thread raises it.
-            self.failure = failure
-
-    def _ask(self) -> None:
-        outstanding: dict[int, int] = {}
-        order = itertools.cycle(range(len(QUESTIONS)))
-        while outstanding or not self.ends.is_set():
-            while len(outstanding) < 16 and not self.ends.is_set():
-                which = next(order)
-                outstanding[self._client.submit(**QUESTIONS[which])] = which
-            request_id, result = self._client.collect()
-            assert result_bytes(result) == self._known[outstanding.pop(request_id)]
-            self.answered += 1
+def ask_all(client: dipole.Client, known: list[tuple]) -> None:
+    """Asks all questions at once, twice, and checks every answer."""
+    outstanding = {client.submit(**QUESTIONS[i]): i for i in (*range(len(QUESTIONS)),) * 2}
+    while outstanding:
+        request_id, result = client.collect()
+        assert result_bytes(result) == known[outstanding.pop(request_id)]
 
 
 def test_python_clients_outlive_their_daemon(restarted):
-    with dipole.Client(restarted.url) as client:
-        known = [result_bytes(client.eval(**question)) for question in QUESTIONS]
-    threads = [Asking(restarted.url, known) for _ in range(2)]
-    for thread in threads:
-        thread.start()
-    for _ in range(RESTARTS):
-        before = [thread.answered for thread in threads]
-        restarted.end()
-        assert eventually(
-            lambda: all(t.failure or t.answered > b + 40 for t, b in zip(threads, before)), 60
-        )
-    for thread in threads:
-        thread.ends.set()
-    for thread in threads:
-        thread.join()
-        if thread.failure is not None:
-            raise thread.failure
+    clients = [dipole.Client(restarted.url, retry_s=RETRY_S) for _ in range(2)]
+    known = [result_bytes(clients[0].eval(**question)) for question in QUESTIONS]
+    with contextlib.ExitStack() as stack:
+        for one in clients:
+            stack.enter_context(one)
+        threads = [stack.enter_context(Beside(lambda one=one: ask_all(one, known))) for one in clients]
+        for _ in range(RESTARTS):
+            before = [one.done for one in threads]
+            restarted.end()
+            assert eventually(lambda: all(t.failure or t.done > b + 2 for t, b in zip(threads, before)), 60)
 
 
 def test_libdipole_outlives_its_daemon(restarted):

@@ -20,7 +20,7 @@ import dipole
 from beside import Beside, Bench
 from certificates import Authority, Recorder
 from command_line import PROGRAM
-from daemons import Daemon, environment, sanitized
+from daemons import Daemon, environment, eventually, sanitized
 from dipole import DipoleError
 from frames import EVAL, F32, SKIN, R, eval_payload, frame, statistics
 from messages import CALLS, assert_same, call
@@ -268,6 +268,8 @@ def test_soak(tmp_path):
         canary = beside[-1]
         ask_every_port(canary)
         with daemon.connect() as watcher:
+            assert eventually(lambda: statistics(watcher)["connections_open"] == 1)
+            assert eventually(lambda: statistics(watcher)["buffer_bytes"] < 1 << 20)
             now = statistics(watcher)
     finally:
         daemon.close()
