@@ -26,21 +26,20 @@ enum {
              (CORE_MULTIPLES & ~CORE_QUANTITY_S) | CORE_QUANTITY_TRANSFER,
 };
 
+/* Returns the larger number, the other one if one is NAN. */
+static inline double larger_known(double a, double b) {
+  return b > a || isnan(a) ? b : a;
+}
+
 /* Returns the relative error of a value. least: absolute differences below this count as
  * underflow. */
-static double off_by(enum core_quantity quantity, double value, double truth, double albedo,
-                     double least) {
-  if (value == truth) { /* also for infinities and zeros */
-    return 0;
-  }
-  if (isnan(value)) {
-    return (double)INFINITY;
-  }
-  const double apart = real_max(fabs(value - truth) - least, 0);
-  return quantity == CORE_QUANTITY_LN_R || quantity == CORE_QUANTITY_CDF ? apart
-         : quantity == CORE_QUANTITY_TRANSFER                            ? apart / albedo
-         : apart > 0                                                     ? apart / fabs(truth)
-                                                                         : 0;
+static inline double off_by(enum core_quantity quantity, double value, double truth, double albedo,
+                            double least) {
+  const double apart = real_max(fabs(value - truth) - least, 0); /* 0 for the same infinity */
+  const double unit = quantity == CORE_QUANTITY_LN_R || quantity == CORE_QUANTITY_CDF ? 1
+                      : quantity == CORE_QUANTITY_TRANSFER                            ? albedo
+                                                                                      : fabs(truth);
+  return isnan(value) ? (double)INFINITY : apart > 0 ? apart / unit : 0;
 }
 
 static bool is_exact(const core_profile *profile) {
@@ -77,9 +76,8 @@ void core_model_errors_at(const core_profile *profile, const core_profile *trans
     core_eval_any(profile, quantity, n, r, value);
     core_eval_f64(transport, quantity, n, r, truth);
     for (size_t i = 0; i < n; i++) {
-      if (r[i] > 0 || !isinf(truth[i])) {
-        error[i] = fmax(error[i], off_by(quantity, value[i], truth[i], transport->albedo, least));
-      }
+      const double off = off_by(quantity, value[i], truth[i], transport->albedo, least);
+      error[i] = r[i] > 0 || !isinf(truth[i]) ? larger_known(error[i], off) : error[i];
     }
   }
   core_stated_errors of_truth = {0};
@@ -169,14 +167,14 @@ static size_t choose_radii(const core_requested_radii *requested, bool single, d
   return n;
 }
 
-/* Returns the error at radius i, with a margin for radii around it. A curve deviates from the line
- * between two points by an eighth of its second difference; the margin is twice that. */
-static double with_margin(const double *error, size_t n, size_t i, bool between) {
+/* Returns a margin of the error at radius i for radii around it. A curve deviates from the line between
+ * two points by an eighth of its second difference; the margin is twice that. */
+static double margin_at(const double *error, size_t n, size_t i) {
   double bend = 0;
-  for (size_t k = i > 1 ? i - 1 : 1; between && k <= i + 1 && k + 1 < n; k++) {
-    bend = fmax(bend, fabs(error[k - 1] - 2 * error[k] + error[k + 1]));
+  for (size_t k = i > 1 ? i - 1 : 1; k <= i + 1 && k + 1 < n; k++) {
+    bend = larger_known(bend, fabs(error[k - 1] - 2 * error[k] + error[k + 1]));
   }
-  return error[i] + bend / 4;
+  return bend / 4;
 }
 
 double core_model_error(const core_profile *profile, const core_profile *transport, unsigned wanted,
@@ -193,17 +191,14 @@ double core_model_error(const core_profile *profile, const core_profile *transpo
   const size_t n = at_radii ? choose_radii(requested, single, r, &between) : 0;
   core_model_errors_at(profile, transport, wanted, n, r, error);
   for (size_t i = 0; i < n; i++) {
-    if (isinf(error[i])) {
-      return (double)INFINITY;
-    }
-    most = fmax(most, with_margin(error, n, i, between)); /* fmax() ignores a NAN */
+    most = larger_known(most, error[i] + (between ? margin_at(error, n, i) : 0));
   }
   const double first_mm =
       requested->listed != NULL ? requested->range.least_mm : requested->grid.start_mm;
   if (between && !(first_mm > 0)) { /* some quantities are finite at r = 0 */
     const double source = 0;
     core_model_errors_at(profile, transport, wanted, 1, &source, error);
-    most = fmax(most, error[0]);
+    most = larger_known(most, error[0]);
   }
   return most;
 }
