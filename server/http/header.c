@@ -1,6 +1,7 @@
 #include "server/http/header.h"
 
 #include <arpa/inet.h>
+#include <ctype.h>
 #include <stdio.h>
 #include <string.h>
 #include <strings.h>
@@ -12,6 +13,16 @@ size_t http_header_leave_escaped(void *context, struct MHD_Connection *connectio
 
 /* ---- headers --------------------------------------------------------------------------------- */
 
+/* Returns how many letters, digits and marks a text begins with. */
+static size_t span(const char *text, const char *marks) {
+  size_t length = 0;
+  while (isalnum((unsigned char)text[length]) ||
+         (text[length] != '\0' && strchr(marks, text[length]) != NULL)) {
+    length++;
+  }
+  return length;
+}
+
 struct header {
   const char *host, *coding, *site, *mode, *origin;
   unsigned hosts, codings, lengths;
@@ -20,10 +31,8 @@ struct header {
 
 static enum MHD_Result note_field(void *context, enum MHD_ValueKind kind, const char *name,
                                   const char *value) {
-  static const char token[] = "!#$%&'*+-.^_`|~0123456789"
-                              "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz";
   struct header *header = context;
-  const size_t length = strspn(name, token);
+  const size_t length = span(name, "!#$%&'*+-.^_`|~");
   (void)kind;
   /* To a line that is folded, the library adds its rest as a part of the name, which it moves behind
    * the value. */
@@ -47,14 +56,14 @@ static enum MHD_Result note_field(void *context, enum MHD_ValueKind kind, const 
   return MHD_YES;
 }
 
-/* What a name of a host consists of. */
-#define NAME_BYTES "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789-._"
+/* What a name of a host consists of, besides letters and digits. */
+#define NAME_MARKS "-._"
 
 bool http_header_check_names(const struct options_list *names) {
   for (size_t i = 0; i < names->count; i++) {
     const char *name = names->items[i];
     const size_t length = strlen(name);
-    if (length == 0 || strspn(name, NAME_BYTES) != length || name[length - 1] == '.') {
+    if (length == 0 || span(name, NAME_MARKS) != length || name[length - 1] == '.') {
       fprintf(stderr, "dipoled: --http-name is a name alone, as farm7.example, not '%s'\n", name);
       return false;
     }
@@ -70,7 +79,7 @@ static enum whose whose_host(const struct options *options, const char *host) {
   uint8_t address[16];
   const bool brackets = host[0] == '[';
   host += brackets;
-  const size_t length = brackets ? strcspn(host, "]") : strspn(host, NAME_BYTES);
+  const size_t length = brackets ? strcspn(host, "]") : span(host, NAME_MARKS);
   const char *end = host + length + (brackets && host[length] != '\0');
   end += *end == ':' ? 1 + strspn(end + 1, "0123456789") : 0;
   if (length >= sizeof name || strchr("/?", *end) == NULL || (brackets && host[length] != ']')) {
