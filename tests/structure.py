@@ -131,10 +131,9 @@ def main() -> int:
         print("modules include each other:", " -> ".join(found))
     else:
         print(f"structure: {len(graph)} modules, none includes itself through others")
-    too_long = wordy(root) + bare(root)
-    for fault in [*too_long, *(f"tests/promises.txt: {one}" for one in without_a_test(root))]:
-        print(fault)
-    return 1 if found or too_long else 0
+    faults = wordy(root) + bare(root) + [f"tests/promises.txt: {one}" for one in without_a_test(root)]
+    print(*faults, sep="\n", end="\n" if faults else "")
+    return 1 if found or faults else 0
 
 
 if __name__ == "__main__":

@@ -105,34 +105,29 @@ static struct worst measure_many(enum core_moments moments, double eta_min, doub
   return worst;
 }
 
-static void assert_bound(const char *what, double worst, double bound) {
-  printf("%-22s worst %5.2f, bound %4.1f epsilon\n", what, worst, bound);
+static void assert_bound(const char *name, const char *what, double worst, double bound) {
+  printf("%-6s %s worst %5.2f, bound %4.1f epsilon\n", name, what, worst, bound);
   assert_true(worst <= bound);
   assert_true(worst * LOOSEST >= bound);
 }
 
-UNIT_TEST(exact_moments_hold) {
-  const struct worst worst = measure_many(CORE_MOMENTS_EXACT, CORE_ETA_MIN, CORE_ETA_MAX);
-  assert_bound("exact 1 - 2 C1", worst.first, INTEGRAL_EPSILONS);
-  assert_bound("exact 1 - 3 C2", worst.second, INTEGRAL_EPSILONS);
-}
-
-UNIT_TEST(fitted_moments_hold) {
-  const struct worst worst = measure_many(CORE_MOMENTS_FIT, 0.195, 2.485);
-  assert_bound("fit 1 - 2 C1", worst.first, POLYNOMIAL_EPSILONS);
-  assert_bound("fit 1 - 3 C2", worst.second, POLYNOMIAL_EPSILONS);
-}
-
-UNIT_TEST(jensens_moments_hold) {
-  const struct worst worst = measure_many(CORE_MOMENTS_JENSEN, 0.46, 2.2);
-  assert_bound("jensen 1 - 2 C1", worst.first, POLYNOMIAL_EPSILONS);
-  assert_bound("jensen 1 - 3 C2", worst.second, INTEGRAL_EPSILONS);
-}
-
-UNIT_TEST(renderers_moments_hold) {
-  const struct worst worst = measure_many(CORE_MOMENTS_PBRT, 0.195, 2.485);
-  assert_bound("pbrt 1 - 2 C1", worst.first, POLYNOMIAL_EPSILONS);
-  assert_bound("pbrt 1 - 3 C2", worst.second, POLYNOMIAL_EPSILONS);
+UNIT_TEST(moments_hold) {
+  static const struct {
+    const char *name;
+    enum core_moments moments;
+    double eta_min, eta_max, first, second;
+  } kinds[] = {
+      {"exact", CORE_MOMENTS_EXACT, CORE_ETA_MIN, CORE_ETA_MAX, INTEGRAL_EPSILONS,
+       INTEGRAL_EPSILONS},
+      {"fit", CORE_MOMENTS_FIT, 0.195, 2.485, POLYNOMIAL_EPSILONS, POLYNOMIAL_EPSILONS},
+      {"jensen", CORE_MOMENTS_JENSEN, 0.46, 2.2, POLYNOMIAL_EPSILONS, INTEGRAL_EPSILONS},
+      {"pbrt", CORE_MOMENTS_PBRT, 0.195, 2.485, POLYNOMIAL_EPSILONS, POLYNOMIAL_EPSILONS},
+  };
+  for (size_t i = 0; i < sizeof kinds / sizeof kinds[0]; i++) {
+    const struct worst worst = measure_many(kinds[i].moments, kinds[i].eta_min, kinds[i].eta_max);
+    assert_bound(kinds[i].name, "1 - 2 C1", worst.first, kinds[i].first);
+    assert_bound(kinds[i].name, "1 - 3 C2", worst.second, kinds[i].second);
+  }
 }
 
 /* Matched indices reflect nothing, to the last bit. */

@@ -1,37 +1,5 @@
 """MODBUS/TCP Security (MB-TCP-Security-v36): who gets in, what a role may do, and what TLS has to
-be like. test_every_must_has_its_tests() compares these tests with this table:
-
-| MUST | how it is kept | test |
-|---|---|---|
-| R-01, R-32, R-33 | TLS 1.2 and 1.3 by OpenSSL | `test_the_same_protocol_through_tls` |
-| R-02, R-06, R-41 | both sides prove who they are | `test_masters_that_are_not_believed`, `test_a_server_without_a_ca_for_masters_does_not_start` |
-| R-03, R-47 | X.509v3 certificates, which OpenSSL checks by RFC 5280 | `test_masters_that_are_not_believed` |
-| R-04, R-21, R-30 | the role comes from the extension 1.3.6.1.4.1.50316.802.1 of the master's certificate | `test_what_a_role_may_do`, `test_the_role_of_another_extension_is_none` |
-| R-05 | frames have the same bytes as without TLS | `test_the_same_protocol_through_tls` |
-| R-07 | the daemon asks for the certificate | `test_the_certificate_is_asked_for` |
-| R-08, R-19 | a master's duty; one that has none is refused | `test_masters_that_are_not_believed` |
-| R-10, R-44 | a fatal alert, and the connection ends | `test_masters_that_are_not_believed` |
-| R-11 | no session is resumed at all | `test_no_session_is_resumed` |
-| R-12, R-13, R-37, R-38, R-48 | ECDHE with AES-GCM or ChaCha20-Poly1305 alone, which IANA lists and which take certificates | `test_ciphers_that_are_refused`, `test_the_ciphers_that_must_be_there` |
-| R-14, R-39 | ECDHE-RSA-AES128-GCM-SHA256 with an RSA key | `test_the_ciphers_that_must_be_there` |
-| R-17, R-18, R-24, R-25, R-29 | this section defines the rules and what they decide | `test_what_a_role_may_do` |
-| R-22 | a role of another type than UTF8String is none | `test_a_role_is_a_utf8_string` |
-| R-23 | a master without a role has the rights of `*` and of its subject alone | `test_what_a_role_may_do`, `test_a_subject_has_rights_too` |
-| R-26, R-27, R-28 | the rules are a file, no role is built in, and SIGHUP reads it again | `test_rules_are_the_users_and_are_read_again`, `test_no_rules_no_limits_but_the_options` |
-| R-31 | exception 01 | `test_what_a_role_may_do` |
-| R-34, R-35 | neither TLS 1.1 nor anything older | `test_no_older_version_is_negotiated` |
-| R-46 | the daemon sends what `--certificate` holds: put the certificates down to the root into it | `test_the_whole_chain_is_sent` |
-| R-49 | a scenario without encryption is not served: ciphers that do not encrypt are refused | `test_ciphers_that_are_refused` |
-| R-50, R-51, R-53, R-54 | neither MD5 nor SHA-1 nor no hash | `test_ciphers_that_are_refused` |
-| R-52, R-55 | SHA-256 in the pseudo-random function | `test_the_ciphers_that_must_be_there` |
-| R-56 | the law of the country in which a device is sold | none: it concerns no program |
-| R-57, R-58 | a master may ask for fragments of 512 bytes | `test_fragments_may_be_short` |
-| R-59 | no compression | `test_the_ciphers_that_must_be_there` |
-| R-60 | the extension is there; renegotiation itself is refused | `test_renegotiation_is_indicated_and_refused` |
-| R-61, R-62 | P-256 and ECDHE-ECDSA-AES128-GCM-SHA256 | `test_the_ciphers_that_must_be_there` |
-| R-63, R-64 | a master's ClientHello | none: the daemon sends none |
-| R-65 | the whole string is one role | `test_what_a_role_may_do` |
-"""  # noqa: E501
+be like. tests/promises.txt says which test holds which MUST."""
 
 import re
 import socket
@@ -455,25 +423,3 @@ def test_the_certificate_is_asked_for(slave, authority):
     said = s_client(one, "-tls1_2", "-msg", "-CAfile", authority.pem)
     assert "CertificateRequest" in said
     assert "Acceptable client certificate CA names\nCN = ca" in said
-
-
-# ---- the table -----------------------------------------------------------------------------------
-
-# The numbers of every MUST, and of what is REQUIRED, in the specification; R-09 and R-15 are unused.
-MUSTS = (
-    1, 2, 3, 4, 5, 6, 7, 8, 10, 11, 12, 13, 14, 17, 18, 19, 21, 22, 23, 24, 25, 26, 27, 28, 29, 30,
-    31, 32, 33, 34, 35, 37, 38, 39, 41, 44, 46, 47, 48, 49, 50, 51, 52, 53, 54, 55, 56, 57, 58, 59,
-    60, 61, 62, 63, 64, 65,
-)  # fmt: skip
-
-
-def test_every_must_has_its_tests():
-    """The table has a row for every MUST, which names tests of this file or says why there is
-    none."""
-    rows = re.findall(r"^\| (R-\d\d(?:, R-\d\d)*) \| (.+) \| (.+) \|$", __doc__, re.M)
-    listed = [int(number) for row in rows for number in re.findall(r"R-(\d\d)", row[0])]
-    assert sorted(listed) == sorted(MUSTS)
-    for numbers, _, tests in rows:
-        names = re.findall(r"`(test_\w+)`", tests)
-        assert names or tests.startswith("none: "), numbers
-        assert all(name in globals() for name in names), (numbers, names)

@@ -11,9 +11,9 @@ import signal
 import socket
 import ssl
 import struct
-import threading
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import dipole
@@ -138,49 +138,26 @@ def test_half_close_with_everything_outstanding(daemon, scheme):
 # ---- stopping under load -------------------------------------------------------------------------
 
 
-class Load:
-    """A thread that sends known requests without a pause, and counts and checks every answer."""
-
-    def __init__(self, connection: Connection, known: list[Known]):
-        self.sent = 0  # number of requests that were sent completely
-        self.answered = 0
-        self.refused: list[str] = []  # The status of each refusal.
-        self.last_words = ""  # the status of the error about the whole connection
-        self.failure: BaseException | None = None
-        self._connection = connection
-        self._known = known
-        self.thread = threading.Thread(target=self._run)
-
-    def _send_some(self) -> None:
-        """Sends requests until 64 are outstanding."""
-        while self.sent < self.answered + len(self.refused) + 64:
-            self._connection.send_bytes(self._known[self.sent % len(self._known)].frame(self.sent))
-            self.sent += 1
-
-    def _run(self) -> None:
-        try:
-            with contextlib.suppress(ConnectionLost):
-                while not self.last_words:
-                    # Frames that came before are still read.
-                    with contextlib.suppress(ConnectionLost):
-                        self._send_some()
-                    self._take(*receive_answer(self._connection))
-        except BaseException as failure:  # shown by the test's own thread
-            self.failure = failure
-
-    def _take(self, first, parts) -> None:
-        if refusal(first) and first.request_id == 0 and self.answered > 0:
-            self.last_words = refusal(first)
-            assert self._connection.receive_eof()
-            return
-        # Answers to evals come in the order of the requests, so this finds an answer that is
-        # missing or comes twice.
-        assert first.request_id == self.answered + len(self.refused)
+def ask_until_told(connection: Connection, known: list[Known], answered: list[int]) -> None:
+    """Keeps 64 requests under way until the daemon says that it stops. Answers, and then refusals,
+    come in the order of the requests, so that one that is missing or comes twice is found."""
+    sent = refused = 0
+    while True:
+        with contextlib.suppress(ConnectionLost):  # Frames that came before are still read.
+            while sent < len(answered) + refused + 64:
+                connection.send_bytes(known[sent % len(known)].frame(sent))
+                sent += 1
+        first, parts = receive_answer(connection)
+        assert refusal(first) in ("", "shutting-down")
+        if refusal(first) and first.request_id == 0 and answered:
+            break
+        assert first.request_id == len(answered) + refused
         if refusal(first):
-            self.refused.append(refusal(first))
+            refused += 1
         else:
-            assert_answer(self._known[first.request_id % len(self._known)], first, parts)
-            self.answered += 1
+            assert_answer(known[first.request_id % len(known)], first, parts)
+            answered.append(first.request_id)
+    assert connection.receive_eof()
 
 
 @pytest.mark.parametrize("how", [signal.SIGTERM, signal.SIGINT])
@@ -189,22 +166,16 @@ def test_stopping_under_load(daemon, how):
     together: no answer is lost, and none comes twice."""
     one = daemon(*PARTS)
     known = known_answers(one, every_kind())
-    connections = [one.connect(("unix", "tcp")[i % 2]) for i in range(8)]
-    loads = [Load(connection, known) for connection in connections]
-    for load in loads:
-        load.thread.start()
-    assert eventually(lambda: all(load.answered > 30 or load.failure for load in loads))
-    sent_before = [load.sent for load in loads]
-    one.terminate(how)
-    assert one.wait(30) == 0
-    for load, before, connection in zip(loads, sent_before, connections):
-        load.thread.join()
-        connection.close()
-        if load.failure is not None:
-            raise load.failure
-        assert load.last_words == "shutting-down"
-        assert set(load.refused) <= {"shutting-down"}
-        assert load.sent >= before
+    with contextlib.ExitStack() as stack:
+        pool = stack.enter_context(ThreadPoolExecutor(8))
+        answered: list[list[int]] = [[] for _ in range(8)]
+        connections = [stack.enter_context(one.connect(("unix", "tcp")[i % 2])) for i in range(8)]
+        loads = [pool.submit(ask_until_told, c, known, a) for c, a in zip(connections, answered)]
+        assert eventually(lambda: all(len(a) > 30 or load.done() for a, load in zip(answered, loads)))
+        one.terminate(how)
+        assert one.wait(30) == 0
+        for load in loads:
+            load.result()
 
 
 # ---- out of file descriptors ---------------------------------------------------------------------

@@ -120,13 +120,6 @@ UNIT_TEST(test_lost_connections) {
   }
 }
 
-UNIT_TEST(test_each_submitted_query_has_one_answer) {
-  peer_script *const scripts[] = {peer_answer_seven, peer_answer_seven, peer_serve, NULL};
-  dipole_client *client = peer_begin_scripts(scripts, NULL);
-  peer_check_each(client, 20);
-  peer_finish(client);
-}
-
 /* ---- jobs ---------------------------------------------------------------------------------- */
 
 static const dipole_mc_query job = {.medium = {.1, 1, 0, 1.3},
@@ -393,13 +386,6 @@ static void send_other_parts(int fd, void *context) {
   uint64_t each = 16;
   (void)context;
   peer_serve_parts(fd, &each);
-}
-
-UNIT_TEST(test_parts_are_put_together_anew) {
-  peer_script *const scripts[] = {send_three_parts, send_other_parts, NULL};
-  dipole_client *client = peer_begin_scripts(scripts, NULL);
-  peer_check_eval(client, RADII);
-  peer_finish(client);
 }
 
 static bool read_part(void *context, const dipole_result *part, uint64_t radius_first) {
