@@ -1,4 +1,4 @@
-"""A thousand connections, a stop under load, clients that leave, and no free
+"""A thousand connections, a stop under load, and no free
 descriptors. In each case, every valid request gets its correct answer exactly once."""
 
 import contextlib
@@ -10,7 +10,6 @@ import select
 import signal
 import socket
 import ssl
-import struct
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -26,7 +25,6 @@ from frames import EVAL, F32, R, eval_payload, frame, serves, statistics
 from messages import (
     PARTS, Known, assert_answer, every_kind, known_answers, receive_answer, refusal, short_requests,
 )
-from modbus_master import AT, floats, words, write_read_pdu
 from test_metrics import fetch
 
 
@@ -288,50 +286,16 @@ def test_no_memory_for_the_first_thread_that_prepares(daemon, kind):
         assert client.ping() > 0
 
 
-# ---- wake-ups, and leaving -----------------------------------------------------------------------
+# ---- wake-ups ------------------------------------------------------------------------------------
 
 ANSWERS = 20000
-LEAVES = int(os.environ.get("LEAVES", "3000"))
 GRID = "model=better&wanted=R&evaluator=f32&medium=skin1&spacing=linear&radius_start=.1&radius_stop=9"
-KINDS = ["tcp", "tls", "http", "modbus"]
-
-
-def http_request(radii: int) -> bytes:
-    return f"GET /v1/eval?{GRID}&radius_count={radii} HTTP/1.1\r\nHost: localhost\r\n\r\n".encode()
-
-
-def grid_request(radii: int, model: int = 2, sigma_a: float = 0.03) -> bytes:
-    media = [(sigma_a, 0.74, 0.0, 1.3)]
-    fields = {"model": model, "radius_count": radii, "evaluator": F32, "wanted": R}
-    return frame(EVAL, 1, eval_payload(media, radii=None, **fields))
-
-
-class Ports:
-    """A daemon with one port of each of KINDS, and connections to them."""
-
-    def __init__(self, folder: Path, *options: str):
-        certificate, key = Authority(folder).sign("server")
-        self.daemon = Daemon(
-            *("--http", "127.0.0.1:0", "--modbus", "tcp:127.0.0.1:0"),
-            *("--certificate", certificate, "--key", key, *options),
-            listen=["tcp:127.0.0.1:0", "tls:127.0.0.1:0"],
-        )
-        urls = [url.replace("modbus-tcp:", "modbus:") for url in self.daemon.urls]
-        self.numbers = {url.partition(":")[0]: int(url.rpartition(":")[2]) for url in urls}
-        self.trusting = ssl.create_default_context(cafile=str(folder / "ca.pem"))
-
-    def join(self, kind: str, receive_bytes: int = 1 << 16) -> socket.socket:
-        new = socket.create_connection(("127.0.0.1", self.numbers[kind]), 60)
-        new.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, receive_bytes)
-        return self.trusting.wrap_socket(new, server_hostname="localhost") if kind == "tls" else new
-
-
-@pytest.fixture
-def ports(tmp_path):
-    # With so short a timeout the worker's clock ticks every few milliseconds.
-    one = Ports(tmp_path, "--drain-timeout-ms", "30", "--workers", "1")
-    yield one
-    one.daemon.close()
+REQUESTS = {
+    "http": f"GET /v1/eval?{GRID}&radius_count=2000 HTTP/1.1\r\nHost: localhost\r\n\r\n".encode(),
+    **dict.fromkeys(
+        ["tcp", "tls"], frame(EVAL, 1, eval_payload(radii=None, radius_count=16384, evaluator=F32, wanted=R))
+    ),
+}
 
 
 def receive_whole(stream, kind: str) -> None:
@@ -347,53 +311,24 @@ def receive_whole(stream, kind: str) -> None:
     assert len(stream.read(left)) == left
 
 
-@pytest.mark.parametrize("kind", ["tcp", "tls", "http"])
-def test_no_large_answer_waits_for_the_clock(ports, kind):
+@pytest.mark.parametrize("kind", REQUESTS)
+def test_no_large_answer_waits_for_the_clock(daemon, tmp_path, kind):
     """A connection is alone on its worker, and its socket is emptied while the daemon fills it.
-    The daemon counts clients that wait while it sleeps, and Daemon.close() checks that count."""
-    request = http_request(2000) if kind == "http" else grid_request(16384)
-    with ports.join(kind) as asking, asking.makefile("rb") as stream:
-        asking.sendall(request * 8)
-        for i in range(ANSWERS):
-            receive_whole(stream, kind)
-            if i < ANSWERS - 8:
-                asking.sendall(request)
-
-
-def requests_of_several_turns(dice: random.Random, kind: str) -> bytes:
-    """Makes a request of several slices, or one whose profile has to be prepared."""
-    if kind == "http":
-        return http_request(dice.choice([10, 20_000, 85_000]))
-    if kind == "modbus":
-        medium = floats(dice.uniform(0.01, 0.05), 0.74, 0.0, 1.3)
-        pdus = (write_read_pdu(AT["SIGMA_A"], medium, AT["STATUS"], 8),
-                write_read_pdu(AT["COMMIT"], words(dice.randrange(1, 65536)), AT["R"], 100))
-        return b"".join(words(i, 0, len(pdu) + 1) + b"\x01" + pdu for i, pdu in enumerate(pdus))
-    radii, model = dice.choice([10, 20_000, 200_000]), dice.choice([2, 5])
-    return grid_request(radii, model, dice.uniform(0.01, 0.05)) * dice.randrange(1, 4)
-
-
-def test_clients_of_every_kind_leave_at_any_moment(ports):
-    """They leave while their requests wait, run, are prepared or are answered."""
-    dice = random.Random(4711)
-    here: list[socket.socket] = []
-    for _ in range(LEAVES):
-        if len(here) < dice.randrange(1, 24):
-            kind = dice.choice(KINDS)
-            here.append(ports.join(kind, dice.choice([4096, 1 << 20])))
-            here[-1].sendall(requests_of_several_turns(dice, kind))
-        elif here:
-            leaving = here.pop(dice.randrange(len(here)))
-            select.select([leaving], [], [], dice.choice([0, 0, 0.001, 0.02]))
-            if dice.random() < 0.5:
-                leaving.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
-            leaving.close()
-    for other in here:
-        other.close()
-    for kind in ("tcp", "tls", "http", "http", "http"):
-        with ports.join(kind) as asking, asking.makefile("rb") as stream:
-            asking.sendall(http_request(85_000) if kind == "http" else grid_request(85_000))
-            receive_whole(stream, kind)
-    with ports.join("modbus") as asking:
-        asking.sendall(requests_of_several_turns(dice, "modbus"))
-        assert asking.recv(8)[7] == 23
+    The daemon counts clients that wait while it sleeps, and Daemon.close() checks that count. With so
+    short a timeout the worker's clock ticks every few milliseconds."""
+    certificate, key = Authority(tmp_path).sign("server")
+    options = ["--http", "127.0.0.1:0", "--certificate", certificate, "--key", key]
+    one = daemon(*options, "--drain-timeout-ms", "30", "--workers", "1", listen=["tcp:127.0.0.1:0", "tls:127.0.0.1:0"])
+    port = next(int(url.rpartition(":")[2]) for url in one.urls if url.startswith(kind + ":"))
+    with socket.create_connection(("127.0.0.1", port), 60) as asking:
+        asking.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 16)
+        if kind == "tls":
+            context = ssl.create_default_context(cafile=str(tmp_path / "ca.pem"))
+            asking = context.wrap_socket(asking, server_hostname="localhost")
+        with asking.makefile("rb") as stream:
+            asking.sendall(REQUESTS[kind] * 8)
+            for i in range(ANSWERS):
+                receive_whole(stream, kind)
+                if i < ANSWERS - 8:
+                    asking.sendall(REQUESTS[kind])
+        asking.close()

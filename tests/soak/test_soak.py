@@ -144,7 +144,9 @@ def large(beside: Player, scheme: str) -> bytes:
         block = input_block(count % 65535 + 1, medium, radii=[1.0] * 40, model=29)
         pdu = struct.pack(">BHHB", 16, AT["COMMIT"], len(block) // 2, len(block)) + block
         return struct.pack(">HHHB", 1, 0, 1 + len(pdu), 2 + count % 3) + pdu
-    return frame(EVAL, 1, eval_payload(radii=None, radius_count=count), deadline_ms=count % 20)
+    media = [(beside.rng.uniform(0.01, 0.05), 0.74, 0.0, 1.3)]  # whose profile has to be prepared
+    payload = eval_payload(media, radii=None, radius_count=count, model=beside.rng.choice([2, 5]))
+    return frame(EVAL, 1, payload, deadline_ms=count % 20)
 
 
 def leave(beside: Player) -> None:

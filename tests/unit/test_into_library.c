@@ -185,48 +185,6 @@ UNIT_TEST(test_many_in_any_order) {
   peer_finish(client);
 }
 
-/* Requests and answers are far larger than the buffers of sockets, and the client collects nothing
- * before it has submitted all queries. */
-UNIT_TEST(test_large_ones_both_ways) {
-  enum { LARGE = 40001, MANY = 24 };
-  double *radii = malloc(LARGE * sizeof *radii);
-  room places[MANY];
-  uint64_t ids[MANY];
-  dipole_result *result;
-  dipole_error error;
-  assert_non_null(radii);
-  for (size_t i = 0; i < LARGE; i++) {
-    radii[i] = (double)i;
-  }
-  dipole_client *client = peer_begin_with(peer_serve, NULL, NULL);
-  for (size_t k = 0; k < MANY; k++) {
-    const size_t count = LARGE - k;
-    places[k] = room_for(count * sizeof *radii);
-    const dipole_query query = {.model = 2,
-                                .evaluator = DIPOLE_F64,
-                                .moments = DIPOLE_EXACT,
-                                .wanted = DIPOLE_R,
-                                .media = peer_media,
-                                .medium_count = 1,
-                                .spacing = DIPOLE_LIST,
-                                .radii = radii,
-                                .radius_count = count,
-                                .into_values = inside(&places[k])};
-    assert_true(dipole_submit(client, &query, &ids[k], &error));
-  }
-  for (size_t k = MANY; k-- > 0;) {
-    assert_true(dipole_collect_id(client, ids[k], &result, &error));
-    const double *R = inside(&places[k]);
-    for (size_t i = 0; i < LARGE - k; i++) {
-      assert_true(R[i] == 2 * radii[i]);
-    }
-    dipole_result_free(result);
-    end_room(&places[k]);
-  }
-  peer_finish(client);
-  free(radii);
-}
-
 /* ---- what goes wrong ----------------------------------------------------------------------- */
 
 UNIT_TEST(test_a_place_for_all_or_for_nothing) {
