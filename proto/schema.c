@@ -1,5 +1,6 @@
 #include "proto/schema.h"
 
+#include <assert.h>
 #include <math.h>
 #include <stddef.h>
 #include <stdio.h>
@@ -262,6 +263,7 @@ static wire_error check_fields(const schema_payload *payload, const uint8_t *byt
       if (field->zero_with != NULL && bits << 1 != 0) { /* it is neither 0 nor -0. */
         size_t with_at;
         const schema_field *with = find_field(payload, field->zero_with, &with_at);
+        assert(with != NULL);
         if (schema_number_at(with, bytes + with_at) == field->zero_at) {
           return wire_error_make(WIRE_STATUS_BAD_VALUE, field->name, field->zero_text);
         }

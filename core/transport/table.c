@@ -240,17 +240,19 @@ static bool lay_blocks(struct packed *series, bool is_total, const uint8_t *coun
 /* Reads all series of one side. Returns false if memory runs out. */
 static bool pack_side(const uint8_t **at, int side, struct packed series[SERIES_MAX]) {
   const size_t most = (size_t)BLOCKS_MAX * TERMS_MAX, totals = number_of_totals(side);
-  uint8_t *count = malloc(most);
+  uint8_t *count = calloc(most, 1);
   uint16_t *rank = malloc(most * sizeof *rank);
   bool good = count != NULL && rank != NULL;
   for (size_t n = 0; n < totals + PANELS && good; n++) {
     const bool is_total = n < totals;
     const uint8_t *again = *at;
-    memset(count, 0, most);
     read_series(at, side >= SIDES, is_total, &series[n], count, NULL);
     good = lay_blocks(&series[n], is_total, count, rank);
     if (good) {
       read_series(&again, side >= SIDES, is_total, &series[n], count, rank);
+    }
+    for (size_t i = 0; i < series[n].of_albedo; i++) {
+      memset(&count[i * BLOCKS_MAX], 0, series[n].blocks_end);
     }
   }
   free(count);
