@@ -5,18 +5,21 @@
  * length, at any alignment and in any lane, whatever stands beside: the program fails if one has
  * another bit.
  */
+#include <assert.h>
 #include <float.h>
 #include <inttypes.h>
 #include <math.h>
+#include <stddef.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
-#include "core/core.h"
+#include "core/choose.h"
+#include "core/draw.h"
+#include "core/fit/spectral.h"
 #include "core/gather/gather.h"
 #include "core/montecarlo/montecarlo.h"
-#include "core/solver/layer.h"
-#include "core/solver/solver.h"
+#include "core/ruler.h"
 #include "core/splitmix.h"
 #include "core/varying.h"
 #include "tests/accuracy/inversion.h"
@@ -40,6 +43,30 @@ static uint64_t checksum(uint64_t sum, const void *bytes, size_t n) {
 }
 
 static const uint64_t CHECKSUM_START = UINT64_C(0xcbf29ce484222325);
+
+/* Adds doubles, and integers in 8 bytes. All that is not a number counts as the same: its sign is the
+ * machine's. */
+static uint64_t add_numbers(uint64_t sum, const void *numbers, size_t bytes) {
+  for (size_t i = 0; i < bytes; i += sizeof(double)) {
+    double number;
+    memcpy(&number, (const char *)numbers + i, sizeof number);
+    number = isnan(number) ? (double)NAN : number;
+    sum = checksum(sum, &number, sizeof number);
+  }
+  return sum;
+}
+
+static uint64_t add_fault(uint64_t sum, core_fault fault) {
+  const char *const texts[] = {fault.field, fault.allowed};
+  for (size_t i = 0; i < (fault.field != NULL ? 2 : 0); i++) {
+    sum = checksum(sum, texts[i], strlen(texts[i]));
+  }
+  return add_numbers(sum, &fault.index, sizeof fault.index);
+}
+
+static void print_sum(const char *group, const char *name, uint64_t sum) {
+  printf("%s %s %016" PRIx64 "\n", group, name, sum);
+}
 
 /* Returns a power of two with a random mantissa, so that numbers spread over many magnitudes
  * without pow(). */
@@ -165,11 +192,55 @@ static uint64_t add_values(uint64_t sum, const core_profile *profile, unsigned q
   return checksum(sum, out, bytes_of(profile, n));
 }
 
+/* Adds what callers read of a profile, its table, and the errors that it states near the source to
+ * beyond its reach. */
 static uint64_t add_preparation(uint64_t sum, const core_profile *profile) {
-  sum = checksum(sum, &profile->albedo, sizeof profile->albedo);
-  sum = checksum(sum, &profile->numerical_error, sizeof profile->numerical_error);
-  sum = checksum(sum, profile->numerical_errors, sizeof profile->numerical_errors);
+  static const double ends[][2] = {{1, 0},       {0, 0},    {1e-300, 1}, {1e-3, 0.4},
+                                   {0.02, 17.5}, {30, 200}, {1, 1e4},    {1, 1e9}};
+  const core_medium *medium = &profile->medium;
+  const double mfp_mm = 1 / (medium->sigma_a_per_mm + medium->sigma_s_per_mm * (1 - medium->g));
+  sum = checksum(sum, &profile->notes, sizeof profile->notes);
+  sum = add_numbers(sum, &profile->albedo,
+                    offsetof(core_profile, kernels) - offsetof(core_profile, albedo));
+  for (const core_choice *quantity = core_quantities; quantity->name != NULL; quantity++) {
+    for (size_t i = 0; i < sizeof ends / sizeof ends[0]; i++) {
+      const core_radii_range radii = {ends[i][0] * mfp_mm, ends[i][1] * mfp_mm};
+      if ((quantity->id & CORE_MODULATED) == 0 || profile->modulation != NULL) {
+        const core_stated_errors errors = core_profile_errors(profile, quantity->id, radii);
+        sum = add_numbers(sum, &errors, sizeof errors);
+      }
+    }
+  }
   return checksum(sum, profile->lut, profile->lut_count * sizeof *profile->lut);
+}
+
+/* Adds how far a profile is from transport, where that needs no solving. */
+static uint64_t add_model_errors(uint64_t sum, const core_isa *isa, const core_profile *profile) {
+  const core_medium *medium = &profile->medium;
+  const double mfp_mm = 1 / (medium->sigma_a_per_mm + medium->sigma_s_per_mm * (1 - medium->g));
+  const core_radii_range range = {0.01 * mfp_mm, 30 * mfp_mm};
+  const core_requested_radii requested = {
+      .grid = {CORE_SPACING_LOGARITHMIC, 60, range.least_mm, range.most_mm}, .range = range};
+  const core_parameters none = core_parameters_none();
+  core_profile ruler;
+  if (!core_ruler_is_needed(profile->model, &none, medium, false) ||
+      core_profile_prepare(&ruler, isa, CORE_MODEL_TRANSPORT, CORE_MOMENTS_EXACT,
+                           CORE_EVALUATOR_F64, medium, NULL)
+              .field != NULL) {
+    return sum;
+  }
+  const core_model_errors errors = core_model_errors_measure(profile, &ruler);
+  const double gathered = core_gather_model_error(&errors, medium);
+  sum =
+      add_numbers(add_numbers(sum, errors.error, sizeof errors.error), &gathered, sizeof gathered);
+  for (const core_choice *quantity = core_quantities; quantity->name != NULL; quantity++) {
+    const double error[] = {
+        core_model_error(profile, &ruler, quantity->id, &requested),
+        core_model_errors_of(&errors, medium, quantity->id, (core_radii_range){mfp_mm, mfp_mm})};
+    sum = add_numbers(sum, error, sizeof error);
+  }
+  core_profile_free(&ruler);
+  return sum;
 }
 
 /* ---- models --------------------------------------------------------------------------------- */
@@ -219,7 +290,8 @@ static bool is_compared(const core_choice *model, const core_choice *evaluator, 
 static void print_group(const core_isa *isa, const core_choice *model, const core_choice *evaluator,
                         const core_choice *moments) {
   enum { QUANTITIES = 64 };
-  uint64_t state = 2012, sums[QUANTITIES], samples = CHECKSUM_START;
+  uint64_t state = 2012, sums[QUANTITIES];
+  uint64_t samples = CHECKSUM_START, errors = CHECKSUM_START;
   int media = media_of(model, evaluator);
   for (size_t q = 0; q < QUANTITIES; q++) {
     sums[q] = CHECKSUM_START;
@@ -239,6 +311,7 @@ static void print_group(const core_isa *isa, const core_choice *model, const cor
       }
     }
     samples = add_values(add_preparation(samples, &profile), &profile, 0, &state);
+    errors = i < COSTLY_MEDIA ? add_model_errors(errors, isa, &profile) : errors;
     core_profile_free(&profile);
   }
   for (size_t q = 0; core_quantities[q].name != NULL; q++) {
@@ -248,6 +321,8 @@ static void print_group(const core_isa *isa, const core_choice *model, const cor
     }
   }
   printf("%s %s %s sample %016" PRIx64 "\n", model->name, evaluator->name, moments->name, samples);
+  printf("%s %s %s model_errors %016" PRIx64 "\n", model->name, evaluator->name, moments->name,
+         errors);
 }
 
 static void print_grids(void) {
@@ -283,44 +358,19 @@ static bool is_tabulated(const core_choice *model) {
          model->id == CORE_MODEL_SKIN_RED;
 }
 
-/* Prints a checksum for each evaluator of transport with tissue's g, from the table of
- * solutions. */
-static void print_transport_with_g(const core_isa *isa) {
-  static const core_medium media[] = {{0.05, 9.5, 0.9, 1.4}, {2, 1.25, -0.3, 0.8}};
-  for (const core_choice *evaluator = core_evaluators; evaluator->name != NULL; evaluator++) {
-    uint64_t sum = CHECKSUM_START, state = 1941;
-    core_parameters parameters = core_parameters_none();
-    parameters.value[CORE_PARAMETER_DERIVATIVES] = 1;
-    parameters.value[CORE_PARAMETER_MHZ] = 100;
-    for (size_t i = 0; i < sizeof media / sizeof media[0]; i++) {
-      core_profile profile;
-      if (core_profile_prepare(&profile, isa, CORE_MODEL_TRANSPORT, CORE_MOMENTS_EXACT,
-                               evaluator->id, &media[i], &parameters)
-              .field != NULL) {
-        continue;
-      }
-      sum = add_preparation(sum, &profile);
-      for (const core_choice *quantity = core_quantities; quantity->name != NULL; quantity++) {
-        if ((quantity->id & CORE_ARRAYS) != 0 && quantity->id != CORE_QUANTITY_MODEL_ERRORS) {
-          sum = add_values(sum, &profile, quantity->id, &state);
-        }
-      }
-      sum = add_values(sum, &profile, 0, &state);
-      core_profile_free(&profile);
-    }
-    printf("transport with g %s %016" PRIx64 "\n", evaluator->name, sum);
-  }
-}
-
 /* Prints the checksum of media that vary, for one model and evaluator: of the words, all
  * quantities, sampled radii and media of colours. */
 static void print_varying(const core_isa *isa, unsigned model, unsigned evaluator) {
-  static const unsigned quantities[] = {CORE_QUANTITY_R, CORE_QUANTITY_CDF, CORE_QUANTITY_PDF,
-                                        CORE_QUANTITY_RING};
+  static const unsigned quantities[] = {CORE_QUANTITY_R,      CORE_QUANTITY_CDF,
+                                        CORE_QUANTITY_PDF,    CORE_QUANTITY_RING,
+                                        CORE_QUANTITY_ALBEDO, CORE_QUANTITY_RADIUS};
   enum { QUANTITIES = sizeof quantities / sizeof quantities[0] };
-  const core_colour what = {CORE_LIGHT_BEAM, true, CORE_LENGTH_FREE_PATH};
-  double in[4][RADII], out[4][RADII];
-  float in32[4][RADII], out32[4][RADII];
+  static double in[4][RADII], out[3][RADII];
+  static float in32[4][RADII], out32[3][RADII];
+  const bool f64 = evaluator == CORE_EVALUATOR_F64;
+  const size_t bytes = f64 ? sizeof out[0] : sizeof out32[0];
+  const void *at[4] = {in32[0], in32[1], in32[2], in32[3]};
+  void *to[3] = {out32[0], out32[1], out32[2]};
   uint8_t status[RADII];
   uint64_t state = 2016, sum = CHECKSUM_START;
   for (int i = 0; i < RADII; i++) {
@@ -330,7 +380,11 @@ static void print_varying(const core_isa *isa, unsigned model, unsigned evaluato
     in[3][i] = core_splitmix_f64(&state);
     for (int k = 0; k < 4; k++) {
       in32[k][i] = (float)in[k][i];
+      at[k] = f64 ? (const void *)in[k] : in32[k];
     }
+  }
+  for (int k = 0; k < 3 && f64; k++) {
+    to[k] = out[k];
   }
   core_varying varying;
   if (core_varying_prepare(&varying, isa, model, CORE_MOMENTS_EXACT, evaluator, 0.6, 1.4, NULL)
@@ -338,102 +392,88 @@ static void print_varying(const core_isa *isa, unsigned model, unsigned evaluato
     return;
   }
   sum = checksum(sum, varying.words, varying.words_count * sizeof *varying.words);
-  for (int i = 0; i < QUANTITIES + 2; i++) {
-    if (evaluator == CORE_EVALUATOR_F64) {
-      if (i < QUANTITIES) {
-        core_varying_eval(&varying, quantities[i], RADII, in[0], in[1], in[2], out[0]);
-      } else if (i == QUANTITIES) {
-        core_varying_eval(&varying, CORE_QUANTITY_RADIUS, RADII, in[0], in[1], in[3], out[0]);
-      } else {
-        core_varying_invert(&varying, &what, RADII, in[3], in[2], out[0], out[1], out[2], status);
+  core_varying_range range;
+  core_varying_check(&varying, false, RADII, at[0], at[1], at[2], status, &range);
+  sum = checksum(add_numbers(sum, &range, sizeof range), status, sizeof status);
+  for (int i = 0; i < QUANTITIES; i++) {
+    const double error = core_varying_error(&varying, quantities[i], &range);
+    core_varying_eval(&varying, quantities[i], RADII, at[0], at[1],
+                      at[quantities[i] == CORE_QUANTITY_RADIUS ? 3 : 2], to[0]);
+    sum = checksum(add_numbers(sum, &error, sizeof error), to[0], bytes);
+  }
+  if (f64) {
+    core_varying_gradient_f64(&varying, RADII, in[0], in[1], in[2],
+                              &(core_gradient){out[0], out[1], out[2]});
+    sum = add_numbers(sum, out, sizeof out);
+  }
+  for (unsigned i = 0; i < 2 * CORE_LIGHTS * 4; i++) {
+    const core_colour what = {i % CORE_LIGHTS, i / CORE_LIGHTS % 2, 1 + i / CORE_LIGHTS / 2};
+    if (core_colour_check(&varying, &what).field == NULL) {
+      core_varying_invert(&varying, &what, RADII, at[3], at[2], to[0], to[1], to[2], status);
+      sum = checksum(sum, status, sizeof status);
+      for (int k = 0; k < 3; k++) {
+        sum = checksum(sum, to[k], bytes);
       }
-      sum = checksum(sum, out[0], sizeof out[0]);
-    } else {
-      if (i < QUANTITIES) {
-        core_varying_eval(&varying, quantities[i], RADII, in32[0], in32[1], in32[2], out32[0]);
-      } else if (i == QUANTITIES) {
-        core_varying_eval(&varying, CORE_QUANTITY_RADIUS, RADII, in32[0], in32[1], in32[3],
-                          out32[0]);
-      } else {
-        core_varying_invert(&varying, &what, RADII, in32[3], in32[2], out32[0], out32[1], out32[2],
-                            status);
-      }
-      sum = checksum(sum, out32[0], sizeof out32[0]);
     }
   }
   core_varying_free(&varying);
   printf("varying %u %u %016" PRIx64 "\n", model, evaluator, sum);
 }
 
-/* Prints checksums of the solver for any phase function: totals, and one wavenumber in real and in
- * complex numbers. */
-static void print_anisotropic(const core_isa *isa) {
-  static const double etas[] = {0.8, 1, 1.4};
-  enum { ETAS = sizeof etas / sizeof etas[0], MOMENTS = 12 };
-  const solver_phase phase = {0.8, 0, NULL};
-  solver_total totals[ETAS];
-  uint64_t sum = CHECKSUM_START;
-  if (solver_totals(totals, isa, 0.05, &phase, etas, ETAS).field == NULL) {
-    sum = checksum(sum, totals, sizeof totals);
-  }
-  double moment[MOMENTS] = {1};
-  for (size_t l = 1; l < MOMENTS; l++) {
-    moment[l] = 0.6 * moment[l - 1];
-  }
-  const expansion_rules rules = {4, 9, 3};
-  const expansion_medium medium = {0.85, MOMENTS, moment, 0.05};
-  const expansion_boundaries boundaries = {.count = ETAS, .etas = etas};
-  expansion *expanded = solver_expansion_new(isa, &rules, &medium, &boundaries);
-  layer_exitance exitance[ETAS];
-  for (int imaginary = 0; imaginary < 2; imaginary++) {
-    const double complex k = 1.25 + 0.125 * imaginary * (double complex)I;
-    if (expanded != NULL && solver_layer_halfspace(expanded, k, 0.25, exitance)) {
-      for (size_t eta = 0; eta < ETAS; eta++) {
-        const double complex numbers[] = {exitance[eta].beam, exitance[eta].part[0],
-                                          exitance[eta].diffuse};
-        sum = checksum(sum, numbers, sizeof numbers);
-      }
-    }
-  }
-  solver_expansion_free(expanded);
-  printf("anisotropic %016" PRIx64 "\n", sum);
+/* Whether work is cut in parts, and done in another order, with an instruction set: as it then has to
+ * equal the portable one, that changes nothing. */
+static bool is_cut(const core_isa *isa) {
+  return core_isa_name(isa)[0] != 'p';
 }
 
-/* Prints a checksum for each phase function of Monte Carlo. */
+/* Prints checksums of Monte Carlo. Instruction sets cut the walks in different slices. */
 static void print_walks(const core_isa *isa) {
+  const uint64_t slice = is_cut(isa) ? 777 : 1000000;
   static const struct {
     const char *name;
-    unsigned phase;
-    double share, g;
-  } phases[] = {{"Henyey-Greenstein", 0, 0, 0},
-                {"modified", CORE_PHASE_MODIFIED, 0.9, 0},
-                {"two-term", CORE_PHASE_TWO_TERM, 0.95, -0.3}};
-  const core_medium medium = {0.5, 9.5, 0.85, 1.4};
-  for (size_t i = 0; i < sizeof phases / sizeof phases[0]; i++) {
-    core_mc_request request = {.thickness_mm = (double)INFINITY,
-                               .edges = {CORE_SPACING_LOGARITHMIC, 17, 0.01, 20},
-                               .seed = 1968,
-                               .phase = phases[i].phase,
-                               .phase_share = phases[i].share,
-                               .phase_g = phases[i].g};
+    core_mc_request request;
+    size_t count;
+    core_medium layer[2];
+  } rows[] = {
+      {"Henyey-Greenstein", {0}, 1, {{0.5, 9.5, 0.85, 1.4}}},
+      {"modified", {.phase = CORE_PHASE_MODIFIED, .phase_share = 0.9}, 1, {{0.5, 9.5, 0.85, 1.4}}},
+      {"two-term",
+       {.phase = CORE_PHASE_TWO_TERM, .phase_share = 0.95, .phase_g = -0.3},
+       1,
+       {{0.5, 9.5, 0.85, 1.4}}},
+      {"slab", {.eta_below = 1.2, .aperture = 0.5}, 1, {{0.5, 9.5, -0.3, 0.8, 0.4}}},
+      {"layers",
+       {.scatterings_max = 60, .roulette_weight = 0.5},
+       2,
+       {{1.5, 20, 0.8, 1.4, 0.06}, {0.1, 15, 0, 1.33, 1}}}};
+  for (size_t i = 0; i < sizeof rows / sizeof rows[0]; i++) {
+    core_mc_request request = rows[i].request;
+    request.edges = (core_grid){CORE_SPACING_LOGARITHMIC, 17, 0.01, 20};
+    request.seed = 1968;
     uint64_t sum = CHECKSUM_START;
-    core_mc_request_medium(&request, &medium, 1);
+    core_mc_request_medium(&request, rows[i].layer, rows[i].count);
+    request.albedo_count = request.thickness_mm < (double)INFINITY ? 1 : 2;
+    request.albedo[1] = 0.5;
     core_mc_plan *plan = core_mc_plan_create(&request);
     core_mc_total *total = core_mc_total_create(plan);
     core_mc_batch *batch = core_mc_batch_create(plan);
-    core_mc_batch_start(batch, 0);
-    while (!core_mc_batch_walk(batch, isa, 1000000)) {
+    for (uint64_t index = 0; index < 2; index++) {
+      core_mc_batch_start(batch, index);
+      while (!core_mc_batch_walk(batch, isa, slice)) {
+      }
+      core_mc_total_merge(total, batch);
     }
-    core_mc_total_merge(total, batch);
-    core_mc_ring rings[16];
-    core_mc_total_rings(total, 0, CORE_MC_REFLECTED, rings);
-    for (size_t j = 0; j < sizeof rings / sizeof rings[0]; j++) {
-      sum = checksum(sum, &rings[j].R_per_mm2, sizeof rings[j].R_per_mm2);
+    for (size_t k = 0; k < request.albedo_count * CORE_MC_SIDES; k++) {
+      core_mc_energy energy;
+      core_mc_ring rings[16];
+      core_mc_total_energy(total, k / CORE_MC_SIDES, &energy);
+      core_mc_total_rings(total, k / CORE_MC_SIDES, k % CORE_MC_SIDES, rings);
+      sum = add_numbers(add_numbers(sum, &energy, sizeof energy), rings, sizeof rings);
     }
     core_mc_batch_free(batch);
     core_mc_total_free(total);
     core_mc_plan_free(plan);
-    printf("walks %s %016" PRIx64 "\n", phases[i].name, sum);
+    print_sum("walks", rows[i].name, sum);
   }
 }
 
@@ -452,8 +492,18 @@ static void print_gathered(const core_isa *isa) {
       power[CHANNELS * i + c] = (float)core_splitmix_f64(&state);
     }
   }
+  static double queries[3 * QUERIES];
+  static uint32_t order[QUERIES];
+  for (size_t i = 0; i < 3 * QUERIES;
+       i++) { /* half of them so close that they are summed together */
+    queries[i] = i < 150 ? xyz[i] : xyz[i % 3] + 0.05 * core_splitmix_f64(&state);
+    order[i / 3] = (uint32_t)(i / 3);
+  }
   core_gather_points *points = core_gather_points_create(POINTS, xyz, CHANNELS, power);
-  while (!core_gather_points_build(points, 1000000)) {
+  while (!core_gather_points_build(points, is_cut(isa) ? 777 : 1000000)) {
+  }
+  if (is_cut(isa)) {
+    core_gather_order(points, QUERIES, queries, order);
   }
   for (const core_choice *evaluator = core_evaluators; evaluator->name != NULL; evaluator++) {
     const core_medium media[CHANNELS] = {{0.17, 0.88, 0, 1.3}, {0.03, 7.4, 0.9, 1.4}};
@@ -470,7 +520,11 @@ static void print_gathered(const core_isa *isa) {
       core_gather_visits visits = {0};
       core_gather_sum_prepare(&gather, isa, CHANNELS, list, tolerance < 1e-5 ? 0 : tolerance);
       core_gather_scratch *scratch = core_gather_scratch_create(gather, points);
-      core_gather(gather, points, scratch, QUERIES, NULL, xyz, M, bound, &visits);
+      for (size_t done = 0; done < QUERIES;) {
+        double work = is_cut(isa) ? 7777 : (double)INFINITY;
+        done += core_gather_on(gather, points, scratch, QUERIES - done, order + done, queries, M,
+                               bound, &visits, &work);
+      }
       core_gather_scratch_free(scratch);
       sum = checksum(sum, M, sizeof M);
       sum = checksum(sum, bound, sizeof bound);
@@ -486,6 +540,268 @@ static void print_gathered(const core_isa *isa) {
     printf("gathered %s %016" PRIx64 "\n", evaluator->name, sum);
   }
   core_gather_points_free(points);
+}
+
+/* ---- answers with a way of their own, with their errors --------------------------------------- */
+
+/* Prints a checksum of the preparation, all quantities and samples of layers, of media from the table
+ * of solutions and beyond it, of modulated light and of limits. */
+static void print_answers(const core_isa *isa) {
+  enum {
+    OFF = CORE_PARAMETER_TOLERANCE, /* 0.5: the coarsest solution */
+    MHZ = CORE_PARAMETER_MHZ,
+    INDEX = CORE_PARAMETER_INDEX,
+    BELOW = CORE_PARAMETER_ETA_BELOW,
+    LAYER = CORE_PARAMETER_DERIVATIVE_LAYER
+  };
+  static const struct {
+    const char *name;
+    unsigned model, evaluator, layers;
+    core_medium layer[2];
+    unsigned given[2];
+    double value[2];
+  } rows[] = {{"table f64", 29, 1, 1, {{0.05, 9.5, 0.9, 1.4}}, {MHZ}, {100}},
+              {"table f32", 29, 2, 1, {{2, 1.25, -0.3, 0.8}}, {MHZ}, {100}},
+              {"table lut", 29, 3, 1, {{0.05, 9.5, 0.9, 1.4}}, {MHZ}, {100}},
+              {"gamma", 29, 1, 1, {{0.05, 9.5, 0.9, 1.4}}, {CORE_PARAMETER_GAMMA}, {1.7}},
+              {"dark", 29, 1, 1, {{4, 1, 0.2, 1.4}}, {CORE_PARAMETER_COS_IN}, {0.3}},
+              {"white", 29, 1, 1, {{0, 9.5, 0.9, 1.4}}, {CORE_PARAMETER_COS_OUT}, {0.6}},
+              {"solved", 29, 1, 1, {{0.3, 5, 0.6, 3}}, {OFF}, {0.5}},
+              {"slab", 29, 1, 1, {{0.05, 10, 0.8, 1.4, 2}}, {OFF, BELOW}, {0.5, 1.2}},
+              {"slab below", 30, 2, 1, {{0.1, 2, -0.3, 1.4, 1}}, {OFF}, {0.5}},
+              {"two", 29, 1, 2, {{1, 20, .8, 1.4, .1}, {.1, 9, 0, 1.3}}, {OFF, LAYER}, {.5, 2}},
+              {"modulated", 2, 1, 1, {{0.01, 9.5, 0.9, 1.4}}, {MHZ, INDEX}, {300, 1.33}},
+              {"modulated sum", 14, 2, 1, {{0.5, 2, 0.5, 1.4}}, {MHZ}, {5000}},
+              {"white sum", 14, 1, 1, {{0, 9.5, 0.9, 1.4}}, {INDEX}, {1.4}},
+              {"albedo", 18, 1, 1, {{0.1, 2, 0, 1.4}}, {CORE_PARAMETER_SURFACE_ALBEDO}, {0.3}},
+              {"finer table", 2, 3, 1, {{0.1, 2, 0, 1.4}}, {OFF}, {1e-5}}};
+  for (size_t i = 0; i < sizeof rows / sizeof rows[0]; i++) {
+    core_parameters parameters = core_parameters_none();
+    uint64_t state = 1950, sum = CHECKSUM_START;
+    const bool derives = core_has_derivatives(rows[i].model);
+    core_profile profile;
+    parameters.layer_count = rows[i].layers;
+    parameters.value[CORE_PARAMETER_DERIVATIVES] = derives ? 1 : (double)NAN;
+    for (size_t k = 0; k < 2 && rows[i].given[k] != 0; k++) {
+      parameters.value[rows[i].given[k]] = rows[i].value[k];
+    }
+    const core_fault fault = core_profile_prepare(&profile, isa, rows[i].model, CORE_MOMENTS_EXACT,
+                                                  rows[i].evaluator, rows[i].layer, &parameters);
+    assert(fault.field == NULL);
+    sum = add_preparation(sum, &profile);
+    if (i < 6) {
+      double diffuse;
+      core_albedo(isa, rows[i].model, CORE_MOMENTS_EXACT, CORE_LIGHT_DIFFUSE, rows[i].layer,
+                  &diffuse);
+      sum = add_numbers(sum, &diffuse, sizeof diffuse);
+    }
+    for (const core_choice *quantity = core_quantities; quantity->name != NULL; quantity++) {
+      if ((quantity->id & CORE_ARRAYS & ~(unsigned)CORE_QUANTITY_MODEL_ERRORS) != 0 &&
+          (derives || !core_wants_derivatives(quantity->id)) &&
+          core_paths_check(rows[i].model, quantity->id, rows[i].layer, &parameters).field == NULL) {
+        sum = add_values(sum, &profile, quantity->id, &state);
+      }
+    }
+    print_sum("answers", rows[i].name, add_values(sum, &profile, 0, &state));
+    core_profile_free(&profile);
+  }
+}
+
+/* Sets values[n] to readings of a quantity with up to 2 % of noise. */
+static void take_readings(const core_isa *isa, unsigned model, const core_medium *medium,
+                          double mhz, unsigned quantity, size_t n, const double *at,
+                          double *values) {
+  core_parameters parameters = core_parameters_none();
+  uint64_t state = 1963;
+  core_profile profile;
+  parameters.value[CORE_PARAMETER_MHZ] = mhz;
+  core_profile_prepare(&profile, isa, model, CORE_MOMENTS_EXACT, CORE_EVALUATOR_F64, medium,
+                       &parameters);
+  core_eval_f64(&profile, quantity, n, at, values);
+  for (size_t i = 0; i < n; i++) {
+    values[i] *= 1 + 0.02 * core_splitmix_f64(&state);
+  }
+  core_profile_free(&profile);
+}
+
+/* Prints checksums of fits, then of the same refined as if the noise were small. */
+static void print_fits(const core_isa *isa) {
+  enum { READINGS = 6 };
+  static const double near[READINGS] = {0.8, 1.5, 3, 5, 8, 12},
+                      f[READINGS] = {0, 0.05, 0.1, 0.2, 1};
+  static const double small[READINGS] = {0.4, 0.4, 0.4, 0.6, 0.6, 1}, wide[READINGS] = {1, 1, 2, 2};
+  static const struct {
+    const char *name;
+    core_fit_design design;
+  } rows[] = {
+      {"two", {29, 1, 0.8, 1.4, 0, NULL, 1, 2, near, NULL, NULL, 0, 1}},
+      {"fibres", {29, 1, 0.8, 1.4, 0, NULL, 1, 6, near, small, wide, 0.4, 2}},
+      {"ratios", {2, 1, 0, 1.4, 0, NULL, 1, 6, near, small, wide, 0, 3, {0.02, 1.2, 0, 1.4}}},
+      {"waves", {29, 1, 0.9, 1.4, 0, NULL, 2, 5, f, NULL, NULL, 0, 1}},
+      {"dipole", {1, 1, 0, 1.4, 0, NULL, 1, 5, near, NULL, NULL, 0, 2}},
+      {"dipole waves", {2, 1, 0, 1.4, 0, NULL, 2, 5, f, NULL, NULL, 0, 2}},
+      {"sum", {14, 1, 0.5, 1.4, 0, NULL, 1, 4, near, NULL, NULL, 0, 1}},
+      {"slab", {27, 1, 0, 1.4, 5, NULL, 1, 4, near, NULL, NULL, 0, 1}}};
+  for (size_t i = 0; i < sizeof rows / sizeof rows[0]; i++) {
+    const core_fit_design design = rows[i].design;
+    const core_medium medium = {0.03, 1 / (1 - design.g), design.g, 1.4, design.thickness_mm};
+    double values[READINGS], known[READINGS], errors[READINGS], residuals[READINGS] = {0};
+    core_fit *fit;
+    const unsigned quantity = design.axis == 1 ? CORE_QUANTITY_R : CORE_QUANTITY_TRANSFER;
+    uint64_t sum = add_fault(CHECKSUM_START, core_fit_create(&fit, isa, &design));
+    take_readings(isa, design.model, &medium, NAN, quantity, design.count, design.at, values);
+    const bool ratios = design.scale == CORE_FIT_SCALE_REFERENCE;
+    take_readings(isa, design.model, ratios ? &design.reference : &medium, NAN, quantity,
+                  design.count, design.at, known);
+    for (double share = 0.02; share > 1e-5; share *= 0.01) {
+      core_fit_result result = {0};
+      core_medium next;
+      for (size_t k = 0; k < design.count; k++) {
+        values[k] /= share > 0.01 && ratios ? known[k] : 1;
+        errors[k] = share * values[k];
+      }
+      core_fit_run(fit, values, errors, &result, residuals);
+      bool more = core_fit_wants_exact(fit, values, errors, &result, &next);
+      for (int step = 0; more && step < CORE_FIT_REFINE_MOST; step++) {
+        core_profile profile;
+        core_profile_prepare(&profile, isa, design.model, CORE_MOMENTS_EXACT, CORE_EVALUATOR_F64,
+                             &next, NULL);
+        more = core_fit_refine(fit, &profile, values, errors, &result, residuals, &next);
+        core_profile_free(&profile);
+      }
+      sum = add_numbers(add_numbers(sum, &result, offsetof(core_fit_result, notes)), residuals,
+                        design.count * sizeof *residuals);
+    }
+    core_fit_free(fit);
+    print_sum("fits", rows[i].name, sum);
+  }
+}
+
+/* Prints a checksum of each tissue's media and of a fit of its spectra: by transport, with a free
+ * factor, or of modulated light. */
+static void print_spectra(const core_isa *isa) {
+  enum { PLACES = 3, BANDS = 5 };
+  static const double at[PLACES] = {2, 5, 9}, none[PLACES], mhz[PLACES] = {0, 100, 100};
+  static const double quantity[PLACES] = {0, CORE_QUANTITY_PHASE, CORE_QUANTITY_MODULATION};
+  static const double nm[BANDS] = {660, 735, 785, 830, 900};
+  static const core_sought sought[] = {{CORE_PROPERTY_HBO2}, {CORE_PROPERTY_HB}, {CORE_PROPERTY_A}};
+  static const core_fit_design designs[] = {
+      {29, 1, 0.9, 1.4, 0, NULL, 1, PLACES, at, NULL, NULL, 0, 1, {0}, true, none, none},
+      {2, 1, 0.9, 1.4, 0, NULL, 1, PLACES, at, NULL, NULL, 0, 2, {0}, true, none, none},
+      {2, 1, 0.9, 1.4, 0, NULL, 1, PLACES, at, NULL, NULL, 0, 1, {0}, true, mhz, quantity}};
+  for (const core_choice *name = core_tissues; name->name != NULL; name++) {
+    const unsigned i = name->id % 3;
+    const core_fit_design design = designs[i];
+    core_spectral_design spectral = {core_tissue_named(name->id), 3, sought, BANDS, nm};
+    double *value = spectral.tissue.value;
+    spectral.tissue.haemoglobin = 1 + name->id % 2;
+    value[CORE_PROPERTY_VESSEL_RADIUS] = 0.02 * i;
+    value[1 + name->id % CORE_PROPERTY_MELANIN] += 0.01;
+    value[CORE_PROPERTY_A] = fmax(value[CORE_PROPERTY_A], 1);
+    value[CORE_PROPERTY_B] = fmax(value[CORE_PROPERTY_B], 0.5);
+    uint64_t sum = CHECKSUM_START;
+    double values[BANDS * PLACES], errors[BANDS * PLACES], residuals[BANDS * PLACES] = {0};
+    for (size_t k = 0; k < BANDS * PLACES; k++) {
+      const size_t place = k % PLACES;
+      core_medium medium = {0};
+      sum = add_fault(sum, core_tissue_medium(&spectral.tissue, nm[k / PLACES], &medium));
+      sum = add_numbers(sum, &medium, sizeof medium);
+      take_readings(isa, design.model, &medium, design.mhz[place] > 0 ? design.mhz[place] : NAN,
+                    design.quantity[place] > 0 ? (unsigned)design.quantity[place] : CORE_QUANTITY_R,
+                    1, &at[place], &values[k]);
+      errors[k] = 0.01 * values[k];
+      values[k] *= 1 + 0.001 * (double)k;
+    }
+    core_spectral_result result;
+    core_spectral *search;
+    memset(&result, 0, sizeof result);
+    core_fit *fit;
+    sum = add_fault(sum, core_fit_create(&fit, isa, &design));
+    sum = add_fault(sum, core_spectral_create(&search, &spectral, PLACES, design.scale));
+    bool more = core_spectral_begin(search, fit, values, errors, &result, residuals);
+    while (more) {
+      more = core_spectral_step(search, &result, residuals);
+    }
+    sum = add_numbers(add_numbers(sum, &result, sizeof result), residuals, sizeof residuals);
+    core_spectral_free(search);
+    core_fit_free(fit);
+    print_sum("spectra", name->name, sum);
+  }
+}
+
+/* Prints a checksum of what is chosen for tolerances, for each quantity. */
+static void print_choices(void) {
+  static const core_medium media[] = {
+      {0.05, 9.5, 0.9, 1.4}, {1e-4, 10, 0, 1.4}, {2, 1.25, -0.3, 0.8}, {0.1, 2, 0, 1.3, 2}};
+  static const double tolerances[] = {0.3, 1e-2, 1e-3, 1e-4, 1e-6, 1e-9};
+  static const uint64_t counts[] = {1, 1000, 1000000};
+  for (const core_choice *quantity = core_quantities; quantity->name != NULL; quantity++) {
+    uint64_t sum = CHECKSUM_START;
+    for (size_t i = 0; i < 4 * 6 * 3 * 2; i++) {
+      const core_radii_range radii = {i % 7 == 0 ? 1e-4 : 0.05, i % 4 == 0 ? 1000 : 5};
+      const core_choose_request request = {
+          &media[i % 4],        1, 1, NAN, quantity->id, radii, counts[i / 24 % 3], i / 72 == 1,
+          tolerances[i / 4 % 6]};
+      core_candidate found[CORE_TRANSPORT_CANDIDATES];
+      const double stored = core_choose_stored_error(&request);
+      const size_t count = core_choose(&request, found);
+      sum = add_numbers(sum, &stored, sizeof stored);
+      for (size_t k = 0; k < count; k++) {
+        const unsigned ids[] = {found[k].model, found[k].evaluator, found[k].looked_up,
+                                found[k].meets};
+        sum = add_numbers(checksum(sum, ids, sizeof ids), &found[k].numerical_tolerance,
+                          offsetof(core_candidate, looked_up) -
+                              offsetof(core_candidate, numerical_tolerance));
+      }
+    }
+    print_sum("choices", quantity->name, sum);
+  }
+}
+
+/* Prints checksums of faults of media and parameters at the ends of what is allowed and beyond, and of
+ * what takes long. */
+static void print_refusals(void) {
+  static const double numbers[] = {-1,   0,   5e-324, 1e-33, 1e-16, 1e-15, 1e-6, 1e-3,
+                                   0.01, 0.1, 0.2,    0.5,   0.7,   0.8,   0.9,  0.95,
+                                   0.96, 1,   1.3,    1.4,   2,     2.2,   2.3,  3,
+                                   5,    10,  100,    1e3,   1001,  1e15,  2e15, 2e30};
+  enum { NUMBERS = sizeof numbers / sizeof numbers[0] };
+  uint64_t state = 1, sum = CHECKSUM_START, of_walks = CHECKSUM_START;
+  for (unsigned i = 0; i < 60000; i++) {
+    core_medium layer[2] = {{0.05, 9.5, 0.9, 1.4}, {0.1, 2, 0, 1.3}};
+    core_parameters parameters = core_parameters_none();
+    core_radii_range radii = {0, 0};
+    double *const any[] = {
+        &layer[0].sigma_a_per_mm, &layer[0].sigma_s_per_mm, &layer[0].g, &layer[0].eta,
+        &layer[0].thickness_mm,   &layer[1].thickness_mm};
+    for (size_t k = 0; k < sizeof any / sizeof any[0]; k++) {
+      *any[k] = core_splitmix(&state) % 4 > 0 ? *any[k] : numbers[core_splitmix(&state) % NUMBERS];
+    }
+    for (const core_choice *one = core_parameter_list; one->name != NULL; one++) {
+      const double value = numbers[core_splitmix(&state) % NUMBERS];
+      parameters.value[one->id] = core_splitmix(&state) % 24 == 0 ? value : (double)NAN;
+    }
+    parameters.layer_count = 1 + i / 8 % 2;
+    const unsigned model = (unsigned)(core_splitmix(&state) % 32), evaluator = 1 + i % 4;
+    const core_fault fault =
+        core_profile_check(model, 1 + i / 4 % 4, evaluator, layer, &parameters, &radii);
+    sum = add_numbers(add_fault(sum, fault), &radii, sizeof radii);
+    if (fault.field == NULL) {
+      const bool costs[] = {core_prepares_slowly(model, evaluator, layer, &parameters),
+                            core_has_to_solve(model, layer, &parameters),
+                            core_worth_keeping(model, evaluator, &parameters)};
+      sum = add_fault(checksum(sum, costs, sizeof costs),
+                      core_paths_check(model, 1u << i % 23, layer, &parameters));
+    }
+    core_mc_request request = {.edges = {1 + i % 3, 2, layer[0].eta, numbers[i % NUMBERS]}};
+    of_walks = add_fault(of_walks, core_mc_request_parameters(&request, &parameters));
+    if (core_layers_check(layer, parameters.layer_count).field == NULL) {
+      core_mc_request_medium(&request, layer, parameters.layer_count);
+      of_walks = add_fault(of_walks, core_mc_check(&request));
+    }
+  }
+  print_sum("refusals", "profiles", sum);
+  print_sum("refusals", "walks", of_walks);
 }
 
 int main(int argc, char **argv) {
@@ -514,10 +830,13 @@ int main(int argc, char **argv) {
       print_inversions(model);
     }
   }
-  print_transport_with_g(isa);
+  print_answers(isa);
   print_grids();
-  print_anisotropic(isa);
   print_walks(isa);
   print_gathered(isa);
+  print_fits(isa);
+  print_spectra(isa);
+  print_choices();
+  print_refusals();
   return EXIT_SUCCESS;
 }

@@ -317,26 +317,6 @@ static core_mc_request bit_request(size_t i) {
   return request;
 }
 
-UNIT_TEST(instruction_sets_and_slices_give_the_same_bits) {
-  static const uint64_t slices[] = {1, 1000, 12345, UINT64_MAX};
-  const core_isa *portable = core_isa_select("portable");
-  for (size_t i = 0; i < BIT_REQUESTS; i++) {
-    const core_mc_request request = bit_request(i);
-    montecarlo_run expected = montecarlo_run_sliced(&request, BIT_BATCHES, portable, UINT64_MAX);
-    for (size_t level = 0; core_isa_listed(level) != NULL; level++) {
-      const core_isa *isa = core_isa_select(core_isa_listed(level));
-      if (isa == NULL) {
-        continue;
-      }
-      const uint64_t slice = slices[(i + level) % 4];
-      montecarlo_run run = montecarlo_run_sliced(&request, BIT_BATCHES, isa, slice);
-      assert_same(&request, run.total, expected.total);
-      montecarlo_run_free(&run);
-    }
-    montecarlo_run_free(&expected);
-  }
-}
-
 /* Threads that walk batches. Each takes the next index, and merges its batch when all earlier ones
  * are merged. */
 struct pool {
