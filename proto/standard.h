@@ -25,6 +25,9 @@ static inline bool standard_open(void) {
 /* Returns whether all of the output has been written. If not, says so on standard error. */
 static inline bool standard_flush(const char *program) {
   errno = 0;
+  if (ferror(stdout)) { /* the reason is lost: writing once more says it again */
+    putchar('\n');
+  }
   const bool written = fflush(stdout) == 0 && !ferror(stdout);
   if (!written) {
     fprintf(stderr, "%s: cannot write the output: %s\n", program,

@@ -196,7 +196,7 @@ static int check(cli_settings *settings) {
         "%llu",
         (unsigned long long)UNDER_WAY_MAX);
   }
-  if (!cli_medium_given(settings)) {
+  if (!cli_medium_given(settings) && settings->tissue.count == 0) {
     static char name[] = MEDIUM_DEFAULT, *names[] = {name};
     settings->medium = (cli_texts){1, names, name};
   }

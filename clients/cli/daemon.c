@@ -10,7 +10,7 @@
 /* The time within which a running daemon replies. */
 #define AT_ONCE_MS 1000
 
-void cli_connection_options(const cli_settings *settings, dipole_options *options) {
+static void take_options(const cli_settings *settings, dipole_options *options) {
   dipole_options_init(options);
   options->timeout_ms = (unsigned)settings->timeout_ms.value;
   if (settings->timeout_ms.given) {
@@ -28,7 +28,7 @@ void cli_connection_options(const cli_settings *settings, dipole_options *option
 static bool open_client(const cli_settings *settings, const char *address, dipole_client **client,
                         dipole_error *error) {
   dipole_options options;
-  cli_connection_options(settings, &options);
+  take_options(settings, &options);
   const bool is_private = address == NULL || strncmp(address, "private:", strlen("private:")) == 0;
   if (!is_private && options.retry_ms > 0 && isatty(STDERR_FILENO) == 1) {
     dipole_options at_once = options;

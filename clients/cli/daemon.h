@@ -5,9 +5,6 @@
 #include "clients/cli/cli.h"
 #include "clients/cli/progress.h"
 
-/* Sets what --timeout-ms and --retry-ms say. */
-void cli_connection_options(const cli_settings *settings, dipole_options *options);
-
 /* Connects to --connect, $DIPOLED or a private daemon. On failure, says why and returns NULL. */
 dipole_client *cli_open(const cli_settings *settings);
 

@@ -651,7 +651,7 @@ int cli_eval_check(cli_settings *settings) {
   }
   const bool at_f = settings->f.count > 0;
   if (settings->mci != NULL) {
-    return cli_medium_given(settings) || settings->plot.count > 0
+    return cli_medium_given(settings) || settings->tissue.count > 0 || settings->plot.count > 0
                ? cli_fail_usage("--mci has its media and radii in its file: leave the others out")
                : CLI_OK;
   }

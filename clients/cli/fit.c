@@ -137,11 +137,10 @@ static int check(cli_settings *settings) {
   if (settings->unknown.count > 0) {
     return cli_fit_tissue_check(settings);
   }
-  if (settings->tissue.count > 0) {
-    return cli_fail_usage("--tissue: give --unknown, too, with what is sought");
-  }
-  if (settings->output != NULL) {
-    return cli_fail_usage("--maps: give --unknown, too, with what is sought");
+  if (settings->tissue.count > 0 || strcmp(settings->haemoglobin, "prahl") != 0 ||
+      settings->output != NULL) {
+    return cli_fail_usage(
+        "--tissue, --haemoglobin and --maps are for what --unknown names: give it, too");
   }
   const size_t numbers = settings->reference.count;
   if (numbers != 0 && numbers != REFERENCE_NUMBERS) {

@@ -63,11 +63,8 @@ static bool has_powers(const cli_sheet *sheet, const cli_csv_record *header) {
 /* Reads the number of a row. If there is none, says so and returns false. */
 static bool read_number(const cli_sheet *sheet, size_t row, size_t column, double *number) {
   *number = cli_sheet_number(sheet, row, column);
-  if (isnan(*number)) {
-    cli_fail("%s: line %llu: %s: there is no number", sheet->source,
-             (unsigned long long)sheet->lines[row], names[column]);
-  }
-  return !isnan(*number);
+  return !isnan(*number) || cli_fails("%s: line %llu: %s: there is no number", sheet->source,
+                                      (unsigned long long)sheet->lines[row], names[column]);
 }
 
 /* Reads a file. Says what is wrong and returns false. */
@@ -79,6 +76,11 @@ static bool read_cloud(const char *path, bool with_power, cloud *of) {
   const size_t most = !good || !with_power ? 0 : power == POWER ? 1 : POWERS_MAX;
   while (of->channels < most && sheet->at[power + of->channels] != CLI_CSV_ABSENT) {
     of->channels++;
+  }
+  for (size_t i = power + of->channels; good && with_power && i < COLUMNS; i++) {
+    good = sheet->at[i] == CLI_CSV_ABSENT ||
+           cli_fails("%s: the column %s: give power alone, or power_1 and so on without a gap",
+                     sheet->source, names[i]);
   }
   of->count = sheet->count;
   of->xyz_mm = cli_allocate(of->count, 3 * sizeof(double));

@@ -127,7 +127,7 @@ static int run_arguments(int argc, char **argv) {
     return CLI_OK;
   }
   if (strcmp(argv[1], "help") == 0 || strcmp(argv[1], "--help") == 0) {
-    return help(argc > 2 ? argv[2] : NULL);
+    return help(argc > 2 && strcmp(argv[2], "--help") != 0 ? argv[2] : NULL);
   }
   const cli_command *command = find_command(argv[1]);
   return command != NULL ? run_command(command, argc - 1, argv + 1) : fail_unknown(argv[1]);

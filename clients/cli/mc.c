@@ -79,7 +79,7 @@ static int check(cli_settings *settings) {
 /* Returns how many photons may walk. If an error is requested, only the daemon limits them. */
 static uint64_t photons_of(const cli_settings *settings, const dipole_info *info) {
   const uint64_t photons = (uint64_t)settings->photons.value;
-  return !settings->photons.given && (settings->error.given || settings->total_error.given)
+  return !settings->photons.given && (settings->error.value > 0 || settings->total_error.value > 0)
              ? cli_limit(info, "max_mc_photons", photons)
              : photons;
 }

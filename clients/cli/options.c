@@ -331,6 +331,12 @@ static int finish_options(int argc, char **argv, cli_settings *settings) {
     say_formats(command, formats);
     return cli_fail_usage("--format %s: %s", settings->format, formats);
   }
+  for (size_t i = 0; i < settings->f.count; i++) {
+    if (!(settings->f.items[i] >= 0)) {
+      return cli_fail_usage("--f: %g is no spatial frequency: give 0 or more, in 1/mm",
+                            settings->f.items[i]);
+    }
+  }
   settings->form = form_of(settings->format != NULL ? settings->format : command->formats);
   return CLI_OK;
 }

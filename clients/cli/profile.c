@@ -126,14 +126,6 @@ bool cli_parameter_parse(const dipole_info *info, const dipole_choice *parameter
   return choice != NULL || decimal_read(text, value);
 }
 
-bool cli_parameters_given(const cli_settings *settings) {
-  size_t id = 0;
-  while (id < CORE_PARAMETERS_END && settings->parameters[id].text == NULL) {
-    id++;
-  }
-  return id < CORE_PARAMETERS_END;
-}
-
 static bool take_parameter(const dipole_info *info, const cli_given *given, unsigned id,
                            cli_parameters *parameters) {
   char known[1024];
@@ -170,7 +162,7 @@ const char *const cli_colours[CLI_COLOURS] = {"red", "green", "blue"};
 bool cli_medium_given(const cli_settings *settings) {
   return settings->medium.count > 0 || settings->channel.count > 0 || settings->sigma_a.count > 0 ||
          settings->sigma_s.count > 0 || settings->g.count > 0 || settings->eta.count > 0 ||
-         settings->thickness.count > 0 || settings->layer.count > 0 || settings->tissue.count > 0;
+         settings->thickness.count > 0 || settings->layer.count > 0;
 }
 
 bool cli_layer_read(const char *text, dipole_medium *layer) {
@@ -233,11 +225,9 @@ size_t cli_colour(const char *name) {
 }
 
 int cli_medium_check(const cli_settings *settings) {
-  if (settings->tissue.count > 0) {
-    return cli_tissue_check(settings);
-  }
-  if (settings->wavelengths.count > 0) {
-    return cli_fail_usage("--wavelengths are those of a tissue: give --tissue too");
+  const int of_tissue = cli_tissue_check(settings);
+  if (settings->tissue.count > 0 || of_tissue != CLI_OK) {
+    return of_tissue;
   }
   if (settings->layer.count > 0) {
     return check_layers(settings);

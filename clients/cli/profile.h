@@ -106,9 +106,8 @@ int cli_medium_check(const cli_settings *settings);
 /* The same for the options of a tissue (clients/cli/tissue.c). */
 int cli_tissue_check(const cli_settings *settings);
 
-/* Returns whether any option of the medium, or of the parameters, is given. */
+/* Returns whether any option of the medium but --tissue is given. */
 bool cli_medium_given(const cli_settings *settings);
-bool cli_parameters_given(const cli_settings *settings);
 
 /* ---- parameters ------------------------------------------------------------------------------ */
 

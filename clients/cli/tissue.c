@@ -56,10 +56,15 @@ static double *read_wavelengths(const cli_texts *texts, size_t *count) {
 /* ---- tissues --------------------------------------------------------------------------------- */
 
 int cli_tissue_check(const cli_settings *settings) {
-  if (settings->medium.count + settings->channel.count + settings->sigma_a.count +
-          settings->sigma_s.count + settings->g.count + settings->eta.count +
-          settings->thickness.count + settings->layer.count >
-      0) {
+  if (settings->tissue.count == 0) {
+    const char *haemoglobin = settings->haemoglobin; /* NULL: the command takes no tissues */
+    return settings->wavelengths.count == 0 && settings->scatter.count == 0 &&
+                   (haemoglobin == NULL || strcmp(haemoglobin, "prahl") == 0)
+               ? CLI_OK
+               : cli_fail_usage("--wavelengths, --scatter and --haemoglobin are those of a tissue: "
+                                "give --tissue, too");
+  }
+  if (cli_medium_given(settings)) {
     return cli_fail_usage("--tissue gives the medium whole: leave --medium, --channel, --sigma-a, "
                           "--sigma-s, --g, --eta, --thickness and --layer out; g=X, eta=X and "
                           "thickness=MM are properties");
@@ -269,8 +274,7 @@ static int write_list(const cli_settings *settings, const dipole_info *info) {
 }
 
 static int check(cli_settings *settings) {
-  return settings->tissue.count > 0 || settings->wavelengths.count > 0 ? cli_tissue_check(settings)
-                                                                       : CLI_OK;
+  return cli_tissue_check(settings);
 }
 
 static int run_tissue(const cli_settings *settings, dipole_client *client) {

@@ -275,7 +275,7 @@ static bool read_choice(struct scpi_session *s, const struct scpi_parameter *par
   return found == 1 || (field->or_zero && is_word(parameter, "AUTO")) ||
          fail_with(s, SCPI_BAD_VALUE, field->name,
                    field->allowed != NULL ? field->allowed
-                                          : "a name that `dipole` lists, or its id");
+                                          : "a name that `dipole info` lists, or its id");
 }
 
 /* Returns whether the number of a field is one that its kind has. */

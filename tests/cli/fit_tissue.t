@@ -99,7 +99,7 @@ $ dipole fit bands.csv --unknown hbo2 --eta 1.4
 ? 2
 
 $ dipole fit bands.csv --tissue liver
-! dipole fit: --tissue: give --unknown, too, with what is sought
+! dipole fit: --tissue, --haemoglobin and --maps are for what --unknown names: give it, too
 ! `dipole fit --help` says more.
 ? 2
 
@@ -152,7 +152,7 @@ total_uM        60      60
 $ dipole fit images.csv --unknown hbo2,hb --maps out.png; dipole fit images.csv --maps out.pfm; sed s/850-0.pfm/nothing.pfm/ images.csv | dipole fit --unknown hbo2 --maps out.pfm; cut -d, -f1-3 images.csv | dipole fit --unknown hbo2 --maps out.pfm; sed 's/image/image,R/;s/pfm/pfm,1/' images.csv | dipole fit --unknown hbo2 --maps out.pfm; printf 'Pf\n1 1\n-1\n0000' > 850-0.pfm; dipole fit images.csv --unknown hbo2 --tissue a=1,b=1 --maps out.pfm
 ! dipole fit: --maps: out.png does not end with .pfm
 ! `dipole fit --help` says more.
-! dipole fit: --maps: give --unknown, too, with what is sought
+! dipole fit: --tissue, --haemoglobin and --maps are for what --unknown names: give it, too
 ! `dipole fit --help` says more.
 ! dipole fit: nothing.pfm: No such file or directory
 ! dipole fit: standard input: the column error is missing; the header has wavelength_nm, f, image; it needs wavelength_nm, r (mm) or f (1/mm), image (a file) and error, or relative_error, for --maps, and may have source_mm, detector_mm, mhz

@@ -33,7 +33,7 @@ mm  mm   mm       W/mm^2       W/mm^2
  0   0  0.5  2.24799e-02  3.69470e-02
  0   2    0  6.70890e-03  8.20173e-03
 
-$ for text in '' 'x,y,z\n0,0,0\n' 'x,y,power\n' 'x,y,z,power\n' 'x,y,z,power\n0,0,0,1\n0,zero,0,1\n' 'x,y,z,power\n0,0,0,1\n# no\n0,1e30,0,1\n' 'x,y,z,power\n0,0,0,1\n0,0,0,-1\n' 'x,y,z,power\n0,0\n' 'x,y,z,power_1,power_2\n0,0,0,1,1\n'; do printf "$text" | dipole gather - queries.csv --sigma-a 0.032 --sigma-s 0.74; done
+$ for text in '' 'x,y,z\n0,0,0\n' 'x,y,power\n' 'x,y,z,power\n' 'x,y,z,power\n0,0,0,1\n0,zero,0,1\n' 'x,y,z,power\n0,0,0,1\n# no\n0,1e30,0,1\n' 'x,y,z,power\n0,0,0,1\n0,0,0,-1\n' 'x,y,z,power\n0,0\n' 'x,y,z,power_1,power_2\n0,0,0,1,1\n' 'x,y,z,power_1,power_3\n0,0,0,1,1\n' 'x,y,z,power,power_1\n0,0,0,1,1\n'; do printf "$text" | dipole gather - queries.csv --sigma-a 0.032 --sigma-s 0.74; done
 ! dipole gather: standard input: it has no header, a line that names the columns
 ! dipole gather: standard input: the column power or power_1 is missing; the header has x, y, z; it needs it for each point
 ! dipole gather: standard input: the column z is missing; the header has x, y, power; it needs x, y and z in mm, and points power, or power_1 and so on, in W
@@ -44,7 +44,9 @@ $ for text in '' 'x,y,z\n0,0,0\n' 'x,y,power\n' 'x,y,z,power\n' 'x,y,z,power\n0,
 ! dipole gather: standard input: line 2: z: there is no number
 ! dipole gather: standard input: powers of each point: 2, channels of the medium: 1: give as many media as powers, or choose a channel with --channel
 ! `dipole gather --help` says more.
-? 2
+! dipole gather: standard input: the column power_3: give power alone, or power_1 and so on without a gap
+! dipole gather: standard input: the column power_1: give power alone, or power_1 and so on without a gap
+? 1
 
 $ printf 'x,y,z\n0,0,0\n0,inf,0\n' | dipole gather points.csv - --sigma-a 0.032 --sigma-s 0.74
 ! dipole gather: standard input: line 3: bad-value: queries: allowed: coordinates from -1e9 to 1e9 mm

@@ -1,4 +1,9 @@
 ## Help, versions, and wrong command lines.
+$ dipole help --help | head -n 1; dipole invert --help > /dev/full
+Usage: dipole COMMAND [OPTION]...
+! dipole: cannot write the output: No space left on device
+? 1
+
 $ dipole --version
 dipole 0.1.0
 

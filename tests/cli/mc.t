@@ -168,6 +168,9 @@ $ dipole mc --sigma-a 0.1 --sigma-s 0.9 --phase modified --phase-share 0.9 --r 1
 ! dipole fit: standard input: the column phase is of no medium that can be fitted: those are half spaces that scatter by Henyey-Greenstein's function
 ? 1
 
+$ dipole mc --sigma-a 0.1 --sigma-s 0.9 --error 0 --total-error 0 --format csv | grep -c total
+1
+
 $ dipole mc
 ! dipole mc: give --medium NAME, or --sigma-a and --sigma-s, or --layer
 ! `dipole mc --help` says more.

@@ -100,13 +100,17 @@ $ for one in 650,1200 850:650:5 400:1300:.5; do dipole tissue --tissue liver --w
 ! dipole tissue: --wavelengths: give at most 1024
 ! `dipole tissue --help` says more.
 
-$ dipole tissue --tissue liver || dipole eval --tissue liver --wavelengths 650 --g .8 --r 1 || dipole eval --medium skin1 --wavelengths 650 --r 1
+$ dipole tissue --tissue liver || dipole eval --tissue liver --wavelengths 650 --g .8 --r 1 || dipole eval --medium skin1 --wavelengths 650 --r 1 || dipole mc --medium skin1 --scatter 1,2 || dipole tissue --haemoglobin ucl
 ! dipole tissue: --tissue needs --wavelengths, as 650,850 or 450:1000:5
 ! `dipole tissue --help` says more.
 ! dipole eval: --tissue gives the medium whole: leave --medium, --channel, --sigma-a, --sigma-s, --g, --eta, --thickness and --layer out; g=X, eta=X and thickness=MM are properties
 ! `dipole eval --help` says more.
-! dipole eval: --wavelengths are those of a tissue: give --tissue too
+! dipole eval: --wavelengths, --scatter and --haemoglobin are those of a tissue: give --tissue, too
 ! `dipole eval --help` says more.
+! dipole mc: --wavelengths, --scatter and --haemoglobin are those of a tissue: give --tissue, too
+! `dipole mc --help` says more.
+! dipole tissue: --wavelengths, --scatter and --haemoglobin are those of a tissue: give --tissue, too
+! `dipole tissue --help` says more.
 ? 2
 
 $ for one in 650:900 650:900:0:1 650:x:5; do dipole tissue --tissue liver --wavelengths $one || echo $?; done; dipole tissue $(for i in 1 2 3 4 5 6 7 8 9; do echo --tissue liver; done) --wavelengths 650; dipole tissue --tissue liver --scatter 1 --wavelengths 650; dipole tissue --tissue epidermis --tissue dermis --wavelengths 650; dipole tissue --tissue $(printf 'g=.8,%.0s' $(seq 30))g=.8 --wavelengths 650

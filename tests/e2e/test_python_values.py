@@ -4,7 +4,7 @@ broadcasts them."""
 import dipole
 import numpy as np
 import pytest
-from dipole import Draw, Medium
+from dipole import Draw, Grid, Medium
 from frames import SKIN
 
 SKIN1 = [Medium(0.032, 0.74), Medium(0.17, 0.88), Medium(0.48, 1.01)]
@@ -117,6 +117,18 @@ def test_arguments_of_other_kinds_are_told_what_belongs_there(client):
         client.eval(None, {"sigma_a": 0.1, "sigma_s": 1.0}, [1.0], tolerance=0.01)
     with pytest.raises(dipole.ArgumentError, match="model: a name, such as .*, or an id; not None"):
         client.gather(None, SKIN1[0], points, np.zeros((1, 3)))
+    for text, call in {
+        "points: dipole.Points": lambda: client.gather("better", SKIN1[0], np.zeros(3), np.zeros((1, 3))),
+        "a Grid is given as grid=": lambda: client.eval("better", SKIN1[0], Grid(0, 1, 3)),
+        "deadline_ms: a whole": lambda: client.eval("better", SKIN1[0], [1.0], deadline_ms="1"),
+        "timeout_s.*above 0": lambda: dipole.Client(timeout_s=0),
+    }.items():
+        with pytest.raises(dipole.ArgumentError, match=text):
+            call()
+    with pytest.raises(dipole.AddressError, match="one text"):
+        dipole.Client(["tcp:localhost:1"])
+    with pytest.raises(dipole.ConnectError, match="/none.pem"):
+        dipole.Client("tls:localhost:1", ca="/none.pem", retry_s=0)
 
 
 def test_a_refusal_among_many_leaves_the_client_as_it_was(client):
@@ -154,13 +166,13 @@ def test_a_grid_is_the_list_of_its_radii(client, spacing, evaluator):
     medium = Medium(0.35, 0.65, 0.0, 1.5)
     for model in ("transport", "better"):
         how = {"evaluator": evaluator, "wanted": ["R", "cdf", "albedo", "r"]}
-        grid = client.eval(model, medium, grid=dipole.Grid(0.01, 19.9, 11, spacing), **how)
+        grid = client.eval(model, medium, grid=Grid(0.01, 19.9, 11, spacing), **how)
         listed = client.eval(model, medium, grid.r, **how)
         for name in ("R", "cdf"):
             assert grid.values[name].tobytes() == listed.values[name].tobytes()
         assert (grid.r == listed.r).all() and grid.albedo == listed.albedo
         np.testing.assert_equal(grid.errors, listed.errors)
-    albedo = client.eval("better", Medium(0, 1), grid=dipole.Grid(0.0, 1.0, 2**40), wanted=["albedo"])
+    albedo = client.eval("better", Medium(0, 1), grid=Grid(0.0, 1.0, 2**40), wanted=["albedo"])
     assert albedo.albedo[0] == 1.0  # Any number of radii costs nothing then.
 
 

@@ -116,6 +116,8 @@ class Tls(NamedTuple):
         ca = self.ca or os.environ.get("DIPOLED_CA") or None
         certificate = self.certificate or os.environ.get("DIPOLED_CERTIFICATE") or None
         key = self.key or os.environ.get("DIPOLED_KEY") or None
+        for path in filter(None, (ca, certificate, key)):  # ssl does not say which file is missing
+            open(path, "rb").close()
         context = ssl.create_default_context(cafile=ca)
         context.minimum_version = ssl.TLSVersion.TLSv1_2
         if certificate is not None:

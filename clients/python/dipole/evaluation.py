@@ -100,6 +100,8 @@ def _eval_payload(info: Info, query: Query) -> tuple[bytes, Shape]:
 def request(info: Info, query: Query, is_streamed: bool = False) -> Request[Result]:
     """Makes the request of eval() or, for is_streamed, eval_parts()."""
     _check_model(query)
+    if isinstance(query.r, Grid):
+        raise ArgumentError("r: a list of radii; a Grid is given as grid=")
     if query.r is None and query.grid is None and not {*names_of(query.wanted, ("R",))} <= {"albedo", "balance"}:
         raise ArgumentError('r: give radii, or a grid. Only wanted=["albedo", "balance"] needs none')
     payload, shape = _eval_payload(info, query)

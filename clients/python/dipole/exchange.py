@@ -160,7 +160,7 @@ class Request(Generic[T]):
     deadline_ms: int = 0
 
     def __post_init__(self) -> None:
-        if not 0 <= self.deadline_ms < 1 << 32:
+        if not hasattr(self.deadline_ms, "__index__") or not 0 <= self.deadline_ms < 1 << 32:
             raise ArgumentError("deadline_ms: a whole number from 0 to 4294967295")
 
 

@@ -132,6 +132,8 @@ async def gather(
     requests, whose number is not limited.
     """
     info = session.info
+    if not isinstance(points, Points):
+        raise ArgumentError("points: dipole.Points(xyz, power)")
     media = await session.media_of(media)
     with naming("queries"):
         listed = np.asarray(queries, "<f8")

@@ -8,7 +8,7 @@ import time
 
 from . import wire
 from .connection import Connection, Tls, usual_address
-from .errors import AddressError, ConnectError, ConnectionLost, DipoleError
+from .errors import AddressError, ConnectError, ConnectionLost, DipoleError, naming
 from .exchange import PAUSE_FIRST_S, Exchange, Once, Request, is_temporary, with_jitter
 from .values import Choice, Info
 
@@ -32,6 +32,9 @@ class Opening:
     ):
         self._addresses = _several(address or usual_address())
         self._at = 0  # index of the address that is in use, or is tried next
+        with naming("timeout_s, retry_s"):
+            if not (timeout_s is None or float(timeout_s) > 0) or not float(retry_s or 0) >= 0:
+                raise ValueError("seconds above 0, or None; retry_s may be 0")
         self._timeout_s = timeout_s
         self._tls = tls
         usual_s = 0.0 if self._addresses[0].startswith("private:") else RETRY_S
@@ -162,6 +165,8 @@ def _hello(address: str) -> Request[Info]:
 
 def _several(text: str) -> list[str]:
     """Splits a list of addresses at each comma before a scheme. Other commas belong to a path."""
+    if not isinstance(text, str):
+        raise AddressError(f"address: one text, in which several have commas between them; not {text!r}")
     addresses = re.split(",(?=unix:|tcp:|tls:|private:)", text)
     if len(addresses) > 1 and any(address.startswith("private:") for address in addresses):
         raise AddressError(f"{text}: private: cannot be one of several addresses")
