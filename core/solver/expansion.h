@@ -34,6 +34,7 @@ typedef struct expansion_rules {
   size_t orders;
   size_t degrees;
   size_t degrees_least;
+  double upright; /* for a stack: a cosine where panels meet, too, or 0 */
 } expansion_rules;
 
 /* The polynomials of one order on one panel: alpha and beta of their three-term recurrence, and the

@@ -213,6 +213,12 @@ static const double like_most[LEVELS] = {8, 8, 8, 10, 12};
  * wavenumber more on each panel. */
 enum { MORE_FROM = 2, MORE_DEGREES = 2 };
 
+/* Layers of three indices have few degrees between their critical angles. At large wavenumbers light within
+ * an angle of 1 / k of the beam is another one than beside it: panels meet there, too, from the same
+ * level on. The finest grid then takes too long. */
+#define UPRIGHT 0.955
+enum { UPRIGHT_DEGREES = 4 };
+
 /* Im k over the rate where their path starts then: their rate is a pole of their own X. */
 #define SHARE_FINITE 0.87
 
@@ -240,6 +246,19 @@ enum { NOISE_NODES = 2 };
 
 /* Over this, the last wavenumbers of R and of T are the same. */
 #define LAST_ALIKE (1 - 1e-6)
+
+/* Returns whether there are layers of three indices or more. */
+static bool has_indices(const struct solver_layers *of) {
+  double other = of->layer[0].eta;
+  for (size_t i = 1; i < of->count; i++) {
+    const double eta = of->layer[i].eta;
+    if (eta != of->layer[0].eta && other != of->layer[0].eta && eta != other) {
+      return true;
+    }
+    other = eta != of->layer[0].eta ? eta : other;
+  }
+  return false;
+}
 
 /* Returns the optical depth of layer `first`, including adjacent layers with the same medium. */
 static double depth_from(const struct grid *of, const struct solver_layers *all, size_t first) {
@@ -538,6 +557,10 @@ static bool solve_tier(const struct grid *of, const struct solver_layers *all, c
   expansion_rules rules = solver_rules_at(by, tier, of->backward);
   const expansion_rules fine_rules = solver_rules_at(fine_by, tier, of->backward);
   rules.degrees += all->sides > 1 && by >= &levels[MORE_FROM] ? MORE_DEGREES : 0;
+  if (tier + 1 == TIERS && by >= &levels[MORE_FROM] && has_indices(all)) {
+    rules.upright = UPRIGHT;
+    rules.degrees += UPRIGHT_DEGREES;
+  }
   stack *expanded = NULL;
   expansion *fine = NULL;
   double complex *like = values + SIDES * nodes;
@@ -801,7 +824,7 @@ core_fault solver_layers_solve(solver_layers **solution, const core_isa *isa,
     depth += (layer[i].sigma_a_per_mm + layer[i].sigma_s_per_mm) * layer[i].thickness_mm;
   }
   const size_t first = tolerance < 3e-3 || depth < THIN_FINE ? 2 : 0;
-  const size_t end = first == 0 ? GRIDS_MOST : LEVELS;
+  const size_t end = first == 0 || (made != NULL && has_indices(made)) ? GRIDS_MOST : LEVELS;
   double worst[SIDES] = {INFINITY, INFINITY}, before[SIDES];
   bool hopes = true;
   for (size_t level = first; ok && hopes && level < end; level++) {

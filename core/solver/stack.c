@@ -57,11 +57,11 @@ static int compare_numbers(const void *a, const void *b) {
 }
 
 /* Sets edge[] to the cosines in a medium of index n beyond which light of this stack is totally
- * reflected anywhere, and returns their number. */
+ * reflected anywhere, and to `upright` if that is not 0, and returns their number. */
 static size_t find_edges(const stack_layer *layers, size_t count, double below, double n,
-                         double edge[EXPANSION_PANELS_MAX - 1]) {
-  double all[SOLVER_LAYERS_MAX + 2];
-  size_t found = 0, kept = 0;
+                         double upright, double edge[EXPANSION_PANELS_MAX - 1]) {
+  double all[SOLVER_LAYERS_MAX + 3] = {upright};
+  size_t found = upright > 0, kept = 0;
   for (size_t i = 0; i < count + 2; i++) {
     const double other = i < count ? layers[i].index : i == count ? 1 : below;
     if (other < n) {
@@ -176,7 +176,7 @@ static bool expand(stack *to, const expansion_rules *rules, double below) {
     const expansion_boundaries boundaries = {
         .count = (size_t)first + (size_t)last,
         .etas = first ? etas : etas + 1,
-        .edges = find_edges(to->layers, to->count, below, n, edge),
+        .edges = find_edges(to->layers, to->count, below, n, rules->upright, edge),
         .edge = edge,
     };
     to->expanded[i] = solver_expansion_new(to->isa, rules, &to->layers[i].medium, &boundaries);
