@@ -145,7 +145,7 @@ static const schema_field *find_field(const schema_payload *payload, const char 
   *at = 0;
   for (int i = 0; i < 2 && payload->structures[i] != NULL; i++) {
     for (const schema_field *field = payload->structures[i]->fields; field->name != NULL; field++) {
-      if (strcmp(field->name, name) == 0) {
+      if (field->name[0] == name[0] && strcmp(field->name, name) == 0) {
         return field;
       }
       *at += field->bytes;

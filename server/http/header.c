@@ -23,14 +23,20 @@ static size_t span(const char *text, const char *marks) {
   return length;
 }
 
+/* The lines that are checked. */
+enum { HOST, CODING, LENGTH, SITE, MODE, ORIGIN, LINES };
+
 struct header {
-  const char *host, *coding, *site, *mode, *origin;
-  unsigned hosts, codings, lengths;
+  const char *value[LINES]; /* of the last one; NULL: there is none */
+  unsigned count[LINES];
   bool broken;
 };
 
-static enum MHD_Result note_field(void *context, enum MHD_ValueKind kind, const char *name,
-                                  const char *value) {
+static enum MHD_Result note_line(void *context, enum MHD_ValueKind kind, const char *name,
+                                 const char *value) {
+  static const char *const names[LINES] = {
+      [HOST] = "Host",           [CODING] = "Transfer-Encoding", [LENGTH] = "Content-Length",
+      [SITE] = "Sec-Fetch-Site", [MODE] = "Sec-Fetch-Mode",      [ORIGIN] = "Origin"};
   struct header *header = context;
   const size_t length = span(name, "!#$%&'*+-.^_`|~");
   (void)kind;
@@ -38,20 +44,11 @@ static enum MHD_Result note_field(void *context, enum MHD_ValueKind kind, const 
    * the value. */
   header->broken |= length == 0 || name[length] != '\0' || strchr(value, '\r') != NULL ||
                     (uintptr_t)value < (uintptr_t)name;
-  if (strcasecmp(name, MHD_HTTP_HEADER_HOST) == 0) {
-    header->host = value;
-    header->hosts++;
-  } else if (strcasecmp(name, MHD_HTTP_HEADER_TRANSFER_ENCODING) == 0) {
-    header->coding = value;
-    header->codings++;
-  } else if (strcasecmp(name, MHD_HTTP_HEADER_CONTENT_LENGTH) == 0) {
-    header->lengths++;
-  } else if (strcasecmp(name, "Sec-Fetch-Site") == 0) {
-    header->site = value;
-  } else if (strcasecmp(name, "Sec-Fetch-Mode") == 0) {
-    header->mode = value;
-  } else if (strcasecmp(name, MHD_HTTP_HEADER_ORIGIN) == 0) {
-    header->origin = value;
+  for (int i = 0; i < LINES; i++) {
+    if (strcasecmp(name, names[i]) == 0) {
+      header->value[i] = value;
+      header->count[i]++;
+    }
   }
   return MHD_YES;
 }
@@ -102,10 +99,12 @@ static enum whose whose_host(const struct options *options, const char *host) {
 
 static bool may_request(const struct options *options, const struct header *header, bool is_open) {
   const char *allowed = options->http_allow_origin;
-  return header->site == NULL || strcasecmp(header->site, "cross-site") != 0 ||
-         (is_open && header->mode != NULL && strcasecmp(header->mode, "navigate") == 0) ||
-         (allowed != NULL && (strcmp(allowed, "*") == 0 ||
-                              (header->origin != NULL && strcmp(allowed, header->origin) == 0)));
+  return header->value[SITE] == NULL || strcasecmp(header->value[SITE], "cross-site") != 0 ||
+         (is_open && header->value[MODE] != NULL &&
+          strcasecmp(header->value[MODE], "navigate") == 0) ||
+         (allowed != NULL &&
+          (strcmp(allowed, "*") == 0 ||
+           (header->value[ORIGIN] != NULL && strcmp(allowed, header->value[ORIGIN]) == 0)));
 }
 
 unsigned http_header_check(struct MHD_Connection *connection, const struct options *options,
@@ -113,15 +112,15 @@ unsigned http_header_check(struct MHD_Connection *connection, const struct optio
                            wire_error *error) {
   struct header header = {0};
   const bool is_old = strcmp(version, MHD_HTTP_VERSION_1_0) == 0;
-  MHD_get_connection_values(connection, MHD_HEADER_KIND, note_field, &header);
-  const char *host = strncasecmp(target, "http://", 7) == 0 ? target + 7 : header.host;
+  MHD_get_connection_values(connection, MHD_HEADER_KIND, note_line, &header);
+  const char *host = strncasecmp(target, "http://", 7) == 0 ? target + 7 : header.value[HOST];
   const enum whose whose = host != NULL ? whose_host(options, host) : OURS;
   const char *field =
       header.broken ? "header"
-      : whose == MALFORMED || (header.hosts != 1 && !(is_old && !header.hosts))
+      : whose == MALFORMED || (header.count[HOST] != 1 && !(is_old && !header.count[HOST]))
           ? MHD_HTTP_HEADER_HOST
-      : header.codings + header.lengths > 1 ? MHD_HTTP_HEADER_CONTENT_LENGTH
-      : header.coding != NULL && (is_old || strcasecmp(header.coding, "chunked") != 0)
+      : header.count[CODING] + header.count[LENGTH] > 1 ? MHD_HTTP_HEADER_CONTENT_LENGTH
+      : header.value[CODING] != NULL && (is_old || strcasecmp(header.value[CODING], "chunked") != 0)
           ? MHD_HTTP_HEADER_TRANSFER_ENCODING
           : NULL;
   if (field != NULL) {

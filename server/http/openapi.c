@@ -173,8 +173,8 @@ static void put_request(struct text *text, const schema_message *message, bool i
   const schema_field *field;
   const schema_part *part;
   const char *name;
-  for (unsigned i = 0; (field = http_request_fields(request, i)) != NULL; i++) {
-    for (; field->name != NULL; field++) {
+  for (int i = 0; i < 2 && request->structures[i] != NULL; i++) {
+    for (field = request->structures[i]->fields; field->name != NULL; field++) {
       if (!field->hidden) {
         put_field(text, message, in_query, field);
       }

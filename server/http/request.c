@@ -110,10 +110,12 @@ static json_t *parse_json(const char *bytes, size_t count, size_t brackets_max, 
 
 /* ---- queries --------------------------------------------------------------------------------- */
 
-static int digit_of(char character) {
-  return !isxdigit((unsigned char)character) ? -1
-         : character <= '9'                  ? character - '0'
-                                             : (character | 0x20) - 'a' + 10;
+/* Returns what two hexadecimal digits say, or 0 if there are no two. */
+static unsigned long byte_of(const char *digits) {
+  const char pair[3] = {digits[0], digits[0] != '\0' ? digits[1] : '\0', '\0'};
+  return isxdigit((unsigned char)pair[0]) && isxdigit((unsigned char)pair[1])
+             ? strtoul(pair, NULL, 16)
+             : 0;
 }
 
 /* Decodes %XX in place, and ends each element of a list with a zero byte. Returns how many elements
@@ -124,11 +126,10 @@ static size_t unescape(char *text) {
   for (const char *at = text; *at != '\0'; at++) {
     char byte = *at;
     if (byte == '%') {
-      const int high = digit_of(at[1]), low = high < 0 ? -1 : digit_of(at[2]);
-      if (low < 0 || high + low == 0) {
+      byte = (char)byte_of(at + 1);
+      if (byte == '\0') {
         return 0;
       }
-      byte = (char)(high << 4 | low);
       at += 2;
     }
     count += byte == ',';
@@ -204,19 +205,6 @@ static size_t count_of(const json_t *value) {
 static const json_t *element_of(const json_t *value, size_t index) {
   return json_is_array(value) ? json_array_get(value, json_array_size(value) > 1 ? index : 0)
                               : value;
-}
-
-/* Reads a number, or the texts inf and -inf. In a query all numbers are texts; a text such as 05 is
- * refused, because who writes the list 0,05 means 0.05. If this fails, it returns false and sets
- * *number to NaN. */
-static bool parse_number(const json_t *value, bool in_query, double *number) {
-  const char *text = json_string_value(value);
-  *number = json_is_number(value) ? json_number_value(value) : (double)NAN;
-  if (text != NULL && (in_query || strcmp(text, "inf") == 0 || strcmp(text, "-inf") == 0) &&
-      (decimal_starts_with_zero(text) || !decimal_read(text, number))) {
-    *number = (double)NAN;
-  }
-  return !isnan(*number);
 }
 
 static wire_error parse_count(const json_t *value, const char *field, uint64_t most,
@@ -298,11 +286,6 @@ unsigned http_request_media(const schema_payload *request) {
                                                                    : UINT_MAX;
 }
 
-const schema_field *http_request_fields(const schema_payload *request, unsigned index) {
-  return index < 2 && request->structures[index] != NULL ? request->structures[index]->fields
-                                                         : NULL;
-}
-
 struct translation {
   const schema_message *message;
   const json_t *values;
@@ -343,8 +326,17 @@ static const json_t *value_of(const struct translation *t, const char *name) {
   return (t->initials >> (name[0] & 63) & 1) != 0 ? json_object_get(t->values, name) : NULL;
 }
 
+/* Reads a number, or the texts inf and -inf. In a query all numbers are texts; a text such as 05 is
+ * refused, because who writes the list 0,05 means 0.05. If this fails, it returns false and sets
+ * *number to NaN. */
 static bool read_number(const struct translation *t, const json_t *value, double *number) {
-  return parse_number(value, t->in_query, number);
+  const char *text = json_string_value(value);
+  *number = json_is_number(value) ? json_number_value(value) : (double)NAN;
+  if (text != NULL && (t->in_query || strcmp(text, "inf") == 0 || strcmp(text, "-inf") == 0) &&
+      (decimal_starts_with_zero(text) || !decimal_read(text, number))) {
+    *number = (double)NAN;
+  }
+  return !isnan(*number);
 }
 
 /* Adds bytes, which start as 0, to the payload. On failure returns NULL. */
@@ -549,15 +541,8 @@ static const core_choice *choices_of_parameter(unsigned id) {
 
 /* Returns a request's field that JSON has, or NULL. */
 static const schema_field *shown_field(const schema_message *message, const char *name) {
-  const schema_field *field;
-  for (unsigned i = 0; (field = http_request_fields(message->request, i)) != NULL; i++) {
-    for (; field->name != NULL; field++) {
-      if (!field->hidden && is_same(field->name, name)) {
-        return field;
-      }
-    }
-  }
-  return NULL;
+  const schema_field *field = schema_field_of(message->request, name);
+  return field != NULL && !field->hidden ? field : NULL;
 }
 
 const core_choice *http_request_numbers(const schema_payload *request) {
@@ -823,8 +808,7 @@ static bool put_name(struct translation *t, const schema_field *field, uint8_t *
     return fail_with(t, bad_value(field->name, "32 hexadecimal digits: the `set` of /v1/points"));
   }
   for (size_t i = 0; i < field->bytes; i++) {
-    const char pair[3] = {digits[2 * i], digits[2 * i + 1], '\0'};
-    at[i] = (uint8_t)strtoul(pair, NULL, 16);
+    at[i] = (uint8_t)byte_of(digits + 2 * i);
   }
   return true;
 }
@@ -997,15 +981,14 @@ static bool read_deadline(struct translation *t, uint32_t *deadline_ms) {
 /* Writes the whole payload. */
 static bool put_all(struct translation *t, uint32_t *deadline_ms) {
   const schema_payload *request = t->message->request;
-  const schema_field *fields;
   size_t offset = 0;
   bool single = false;
   bool good = check_keys(t) && read_deadline(t, deadline_ms) &&
               (t->message->type != WIRE_TYPE_VARYING || check_pairs(t)) &&
               add_bytes(t, request->fixed_bytes) != NULL && add_media(t) && add_parameters(t) &&
               add_sought(t) && add_reference(t);
-  for (unsigned i = 0; good && (fields = http_request_fields(request, i)) != NULL; i++) {
-    good = put_fixed(t, fields, &offset, &single);
+  for (int i = 0; good && i < 2 && request->structures[i] != NULL; i++) {
+    good = put_fixed(t, request->structures[i]->fields, &offset, &single);
   }
   _Static_assert(CORE_GATHER_CHANNELS_MAX == 8, "the error says so");
   if (good && sets_of(value_of(t, "power")) > CORE_GATHER_CHANNELS_MAX) {

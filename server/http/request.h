@@ -25,7 +25,4 @@ const core_choice *http_request_numbers(const schema_payload *request);
 /* Returns how many media a request may have: 0, 1 or UINT_MAX. */
 unsigned http_request_media(const schema_payload *request);
 
-/* Returns the fields of the first or second structure of a request, `index`, or NULL. */
-const schema_field *http_request_fields(const schema_payload *request, unsigned index);
-
 #endif

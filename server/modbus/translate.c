@@ -272,12 +272,8 @@ bool modbus_translate_input(enum registers_job_kind kind, const uint16_t image[R
 /* An array of values in the precision of the evaluator. `at` is NULL if there is no array. */
 struct values {
   const uint8_t *at;
-  size_t bytes; /* bytes of one value */
+  bool single; /* else of double precision */
 };
-
-static double value_at(const struct values *values, unsigned index) {
-  return schema_real_at(values->at, index, values->bytes == sizeof(float));
-}
 
 /* Writes the values into registers. Registers that held values of the previous reply, and get none
  * now, become NaN. */
@@ -285,7 +281,7 @@ static void set_values(uint16_t image[REGISTERS_END], unsigned single_at, unsign
                        const struct values *values, unsigned count, unsigned count_before) {
   const unsigned there = values->at != NULL ? count : 0;
   for (unsigned i = 0; i < count || i < count_before; i++) {
-    const double value = i < there ? value_at(values, i) : (double)NAN;
+    const double value = i < there ? schema_real_at(values->at, i, values->single) : (double)NAN;
     registers_set_f32(image, single_at + 2 * i, (float)value);
     if (double_at > 0) {
       registers_set_f64(image, double_at + 4 * i, value);
@@ -323,7 +319,7 @@ static void set_fields(enum registers_job_kind kind, const schema_structure *str
 }
 
 /* Returns the radii of the request. Those of a grid are computed into `room`. */
-static struct values radii_of(const uint8_t *request, size_t value_bytes,
+static struct values radii_of(const uint8_t *request, bool single,
                               double room[REGISTERS_RADII_MAX]) {
   wire_eval_request fixed;
   wire_get_eval_request(request, &fixed);
@@ -331,18 +327,18 @@ static struct values radii_of(const uint8_t *request, size_t value_bytes,
     return (struct values){request + WIRE_BYTES_eval_request +
                                fixed.layer_count * WIRE_BYTES_medium +
                                fixed.parameter_count * WIRE_BYTES_parameter,
-                           value_bytes};
+                           single};
   }
   const core_grid grid = {fixed.spacing, fixed.radius_count, fixed.radius_start, fixed.radius_stop};
-  core_grid_radii(&grid, 0, (size_t)grid.count, value_bytes == sizeof(float), room);
-  return (struct values){(const uint8_t *)room, value_bytes};
+  core_grid_radii(&grid, 0, (size_t)grid.count, single, room);
+  return (struct values){(const uint8_t *)room, single};
 }
 
 /* Returns the largest finite radius. Infinity does not count: R is exactly 0 there. */
 static double largest(const struct values *radii, unsigned count) {
   double most = 0;
   for (unsigned i = 0; i < count; i++) {
-    const double r = value_at(radii, i);
+    const double r = schema_real_at(radii->at, i, radii->single);
     most = r > most && r < (double)INFINITY ? r : most;
   }
   return most;
@@ -372,10 +368,10 @@ static void set_errors_of_each(uint16_t image[REGISTERS_END], const uint8_t *rep
 }
 
 static struct values array_of(const uint8_t *reply, const eval_layout *layout, unsigned wanted,
-                              size_t value_bytes, enum core_quantity quantity) {
+                              bool single, enum core_quantity quantity) {
   const bool there = eval_is_array(wanted, quantity);
   return (struct values){there ? reply + eval_array_offset(layout, wanted, 0, quantity) : NULL,
-                         value_bytes};
+                         single};
 }
 
 /* Sets what only an eval has. */
@@ -411,30 +407,29 @@ static void take_eval(bool drawn, const uint8_t *request, const uint8_t *reply, 
   const unsigned wanted = start.wanted | (drawn ? EVAL_DRAWN : 0), count = (unsigned)start.count;
   const bool fits = eval_reply_layout(start.evaluator, wanted, 1, count, reply_bytes, &layout);
   assert(fits && count <= REGISTERS_RADII_MAX);
-  const size_t bytes = core_evaluator_bytes(start.evaluator);
-  const bool rounded = bytes == sizeof(double);
+  const bool single = core_evaluator_bytes(start.evaluator) == sizeof(float);
   const unsigned count_at = drawn ? REGISTERS_AT_SAMPLE_COUNT : REGISTERS_AT_COUNT;
   const unsigned before = registers_u16(image, count_at);
   for (size_t i = 0; i < sizeof arrays / sizeof arrays[0]; i++) {
     if (arrays[i].drawn == drawn) {
-      const struct values values = array_of(reply, &layout, wanted, bytes, arrays[i].quantity);
+      const struct values values = array_of(reply, &layout, wanted, single, arrays[i].quantity);
       set_values(image, arrays[i].single_at, arrays[i].double_at, &values, count, before);
     }
   }
-  const struct values radii = drawn ? array_of(reply, &layout, wanted, bytes, CORE_QUANTITY_RADIUS)
-                                    : radii_of(request, bytes, room);
+  const struct values radii = drawn ? array_of(reply, &layout, wanted, single, CORE_QUANTITY_RADIUS)
+                                    : radii_of(request, single, room);
   const double most_mm = largest(&radii, count);
   const wire_quantity_error error = eval_largest_error(reply, &layout, wanted, 0);
   registers_set_u16(image, count_at, count);
   registers_set_u16(image, drawn ? REGISTERS_AT_SAMPLE_NOTES : REGISTERS_AT_NOTES, start.notes);
   registers_set_f32(image,
                     drawn ? REGISTERS_AT_SAMPLE_NUMERICAL_ERROR : REGISTERS_AT_NUMERICAL_ERROR,
-                    stated_error(&error, most_mm, rounded));
+                    stated_error(&error, most_mm, !single));
   registers_set_f32(image, drawn ? REGISTERS_AT_SAMPLE_MODEL_ERROR : REGISTERS_AT_MODEL_ERROR,
                     rounded_up(error.model_error));
   if (!drawn) {
     set_values(image, REGISTERS_AT_DISTANCES, 0, &radii, count, before);
-    set_errors_of_each(image, reply, &layout, wanted, most_mm, rounded);
+    set_errors_of_each(image, reply, &layout, wanted, most_mm, !single);
     set_eval(image, reply, &start, &error);
   }
 }
@@ -451,7 +446,7 @@ static void set_reply(enum registers_job_kind kind, const uint8_t *reply, size_t
   for (unsigned i = 0; payload->parts[i].name != NULL; i++) {
     const schema_part *part = &payload->parts[i];
     const unsigned count = (unsigned)layout->parts[i].count;
-    const struct values values = {reply + layout->parts[i].at, sizeof(double)};
+    const struct values values = {reply + layout->parts[i].at, false};
     const bool named = strcmp(part->name, "estimates") == 0;
     const registers_field *to =
         part->kind == SCHEMA_f64 ? registers_named(&registers_jobs[kind], part->name, true) : NULL;
@@ -492,8 +487,7 @@ static void take_mc(const uint8_t *reply, size_t reply_bytes, uint16_t image[REG
   }
   set_progress(image, &start);
   for (unsigned i = 0; i < 2U * start.side_count && start.state != MC_UNDER_WAY; i++) {
-    const struct values values = {reply + mc_rings_offset(&layout, 0, i / 2, i % 2),
-                                  sizeof(double)};
+    const struct values values = {reply + mc_rings_offset(&layout, 0, i / 2, i % 2), false};
     set_values(image, at[i / 2][i % 2], 0, &values, start.ring_count, 0);
   }
 }
