@@ -1,33 +1,19 @@
 #include "server/http/text.h"
 
-#include <assert.h>
 #include <math.h>
+#include <stdio.h>
 #include <string.h>
 
 #include "proto/decimal.h"
 
 enum { ESCAPE_BYTES = 6 };
 
-/* Writes a character that needs an escape. */
-static char *put_escape(char *at, unsigned char byte) {
-  static const char hex[] = "0123456789abcdef";
-  *at++ = '\\';
-  if (byte >= 0x20) {
-    *at++ = (char)byte;
-    return at;
-  }
-  memcpy(at, "u00", 3);
-  at[3] = hex[byte >> 4];
-  at[4] = hex[byte & 15];
-  return at + 5;
-}
-
 static char *put_string(char *at, const char *string) {
   *at++ = '"';
   for (; *string != '\0'; string++) {
     const unsigned char byte = (unsigned char)*string;
     if (byte < 0x20 || byte == '"' || byte == '\\') {
-      at = put_escape(at, byte);
+      at += sprintf(at, byte < 0x20 ? "\\u%04x" : "\\%c", byte);
     } else {
       *at++ = (char)byte;
     }
