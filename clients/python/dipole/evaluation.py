@@ -138,7 +138,7 @@ async def eval_parts(session: Session, query: Query) -> int:
     number radius_first. The daemon chooses how many radii a part has. Any step of the iterator may
     raise Refused; the parts before that are valid. The iterator of an AsyncClient is an
     asynchronous one. A client reads the parts while it waits for one of them, or for the reply to
-    another call."""
+    another call, also those that nobody takes any more: to end a large reply, close the client."""
     query = await _named(session, query)
     return await session.send(request(session.info, query, is_streamed=True))
 
