@@ -4,7 +4,6 @@ also when calls are cancelled and when the daemon goes away."""
 import asyncio
 import os
 import signal
-import time
 
 import dipole
 import numpy as np
@@ -226,25 +225,6 @@ def test_an_exception_in_the_middle_of_a_frame(shared, monkeypatch, where):
             assert client._session.connection is not before
 
     run(ask())
-
-
-def test_a_silent_daemon(daemon):
-    """A client whose daemon is silent for too long fails."""
-    one = daemon()
-
-    async def ask() -> None:
-        async with AsyncClient(one.url(), timeout_s=0.5, retry_s=0) as client:
-            await client.ping()
-            one.pause()
-            began_s = time.monotonic()
-            with pytest.raises(dipole.ConnectionLost, match="nothing moved"):
-                await client.ping()
-            assert time.monotonic() - began_s >= 0.5
-
-    try:
-        run(ask())
-    finally:
-        one.process.send_signal(signal.SIGCONT)
 
 
 # ---- a daemon that goes away ---------------------------------------------------------------------

@@ -11,7 +11,6 @@ import signal
 import socket
 import ssl
 import time
-from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -28,37 +27,16 @@ from messages import (
 from test_metrics import fetch
 
 
-def assert_all_right(connection: Connection, known: list[Known], order: list[int]) -> None:
-    """Sends these of the known requests at once. Checks that each gets its correct answer once."""
+def assert_all_right(connection: Connection, known: list[Known], order: list[int], last: bool = False) -> None:
+    """Sends these of the known requests at once, and if they are the last ones, ends its side. Checks
+    that each gets its correct answer once."""
     connection.send_bytes(b"".join(known[which].frame(i) for i, which in enumerate(order)))
+    if last:
+        connection.half_close()
     open_ones = dict(enumerate(order))
     while open_ones:
         first, parts = receive_answer(connection)
         assert_answer(known[open_ones.pop(first.request_id)], first, parts)
-
-
-def ask_some(connection: Connection, known: list[Known], rng: random.Random) -> None:
-    assert_all_right(connection, known, rng.choices(range(len(known)), k=8))
-
-
-@contextlib.contextmanager
-def others(daemon: Daemon, known: list[Known], count: int = 2) -> Iterator[Callable[[], None]]:
-    """Connections that send requests all the time, in threads of their own, and check every answer.
-    Yields a function that waits until they have got some more answers."""
-    with contextlib.ExitStack() as stack:
-        threads = []
-        for i in range(count):
-            connection = stack.enter_context(daemon.connect(("unix", "tcp")[i % 2]))
-            act = functools.partial(ask_some, connection, known, random.Random(i))
-            threads.append(stack.enter_context(Beside(act)))
-
-        def go_on() -> None:
-            until = sum(one.done for one in threads) + 2
-            assert eventually(
-                lambda: any(one.failure for one in threads) or sum(one.done for one in threads) > until
-            )
-
-        yield go_on
 
 
 @pytest.fixture
@@ -101,7 +79,14 @@ def test_a_flood_beyond_max_connections(daemon, descriptors):
     watcher = one.connect()
     assert eventually(lambda: statistics(watcher)["connections_open"] == 1)
     before_bytes = one.resident_bytes()
-    with watcher, others(one, known, 7) as others_go_on:
+    with contextlib.ExitStack() as stack:
+        stack.enter_context(watcher)
+        served = []
+        for i in range(7):
+            order = random.Random(i).choices(range(len(known)), k=8)
+            connection = stack.enter_context(one.connect(("unix", "tcp")[i % 2]))
+            act = functools.partial(assert_all_right, connection, known, order)
+            served.append(stack.enter_context(Beside(act)))
         assert eventually(lambda: statistics(watcher)["connections_open"] == 8)
         told = 0
         for _ in range(10):
@@ -109,7 +94,10 @@ def test_a_flood_beyond_max_connections(daemon, descriptors):
             for extra in flood:
                 with extra:
                     told += refusal(extra.receive_frame()) == "busy"
-            others_go_on()
+            before = [other.done for other in served]
+            assert eventually(
+                lambda: all(other.failure or other.done > n for other, n in zip(served, before))
+            )
         assert told == 1000
         assert statistics(watcher)["connections_refused"] == 1000
         assert statistics(watcher)["connections_open"] == 8
@@ -122,14 +110,8 @@ def test_a_flood_beyond_max_connections(daemon, descriptors):
 def test_half_close_with_everything_outstanding(daemon, scheme):
     one = daemon(*PARTS)
     known = known_answers(one, every_kind())
-    order = list(range(len(known))) * 3
     with one.connect(scheme) as connection:
-        connection.send_bytes(b"".join(known[which].frame(i) for i, which in enumerate(order)))
-        connection.half_close()
-        open_ones = dict(enumerate(order))
-        while open_ones:
-            first, parts = receive_answer(connection)
-            assert_answer(known[open_ones.pop(first.request_id)], first, parts)
+        assert_all_right(connection, known, list(range(len(known))) * 3, last=True)
         assert connection.receive_eof()
 
 

@@ -165,26 +165,6 @@ UNIT_TEST(test_parts) {
   }
 }
 
-UNIT_TEST(test_many_in_any_order) {
-  enum { MANY = 30 };
-  question asked[MANY];
-  uint64_t ids[MANY];
-  dipole_error error;
-  dipole_client *client = peer_begin_with(peer_serve, NULL, NULL);
-  for (size_t i = 0; i < MANY; i++) {
-    asked[i] = question_of(i % 2 != 0 ? DIPOLE_F32 : DIPOLE_F64, wanted_sets[i % WANTED_SETS], i);
-    assert_true(dipole_submit(client, &asked[i].query, &ids[i], &error));
-  }
-  for (size_t k = 0; k < MANY; k++) {
-    const size_t i = k * 7 % MANY;
-    dipole_result *result;
-    peer_expect(dipole_collect_id(client, ids[i], &result, &error), &error);
-    check_result(&asked[i], result);
-    end_question(&asked[i]);
-  }
-  peer_finish(client);
-}
-
 /* ---- what goes wrong ----------------------------------------------------------------------- */
 
 UNIT_TEST(test_a_place_for_all_or_for_nothing) {
