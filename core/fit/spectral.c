@@ -32,8 +32,12 @@ enum { TERMS_MAX = CORE_PROPERTIES_END };
  * are so many times what they would be with all other unknowns known. */
 #define ROUNDING 1e-15
 #define ERROR_MOST 1e6
-/* A second minimum differs by so many standard errors. */
-#define APART 5.0
+/* A second minimum differs by so many standard errors: a quadratic chi-squared has none. */
+#define APART 1.0
+/* The errors are too small if chi-squared, with a or else b so many of them away, is that of a second
+ * solution: a quadratic chi-squared is larger by the square. They are not if it is about that. */
+#define PROBE 4.0
+#define PROBE_NEAR 0.25
 
 #define DEGREES 57.29577951308232
 
@@ -59,7 +63,7 @@ enum stage { COMPARES, BEGINS, COMES_NEAR, SETTLES, ENDS };
 
 struct minimum {
   double x[MOST], chi_squared;
-  bool settled;
+  bool settled, probed; /* probed: of a part of the range alone */
 };
 
 /* A number of the medium: sought between low and high, from `start` on, if high is above low; else
@@ -82,7 +86,9 @@ struct core_spectral {
   unsigned evaluations;
   int candidate, left;
   size_t next, minimum_count;
-  struct minimum starts[STARTS], minima[STARTS];
+  unsigned probes;      /* that have begun */
+  double *probe, usual; /* the limit that a probe has moved, NULL without one, and what it was */
+  struct minimum starts[STARTS], minima[STARTS + 2];
   struct quadratic now;
   double damping;
   /* [wavelengths]: ln(wavelength / 500 nm); sigma_a and the derivative of ln sigma_s' by b as they were
@@ -573,17 +579,23 @@ static bool descend(core_spectral *of, bool *settled) {
   return *settled || --of->left <= 0 || of->damping > DAMPING_MOST;
 }
 
-/* Compares candidate i: amounts and a are multiples of their starts. The best of each a
+/* The term of scattering that may have several solutions: a or, if that is given, b. */
+static size_t scattering_of(const core_spectral *of) {
+  return of->chromophores + !is_sought(&of->terms[of->chromophores]);
+}
+
+/* Compares candidate i: amounts and a, or else b, are other than their starts. The best of each a or b
  * starts a descent, since more and less scattering may give the same reading. */
 static void compare(core_spectral *of, int i) {
   static const double amounts[] = {1, 0.25, 4}, scatterings[] = {0, -1, 1, -2, 2};
   struct minimum one = {.settled = false}, *start = &of->starts[i / 3];
+  const size_t scattering = scattering_of(of);
   for (size_t k = 0; k < of->unknowns; k++) {
     const size_t term = of->term_of[k];
     const double from = of->terms[term].start;
-    one.x[k] = clamp(term < of->chromophores    ? from * amounts[i % 3]
-                     : term == of->chromophores ? from + scatterings[i / 3]
-                                                : from,
+    one.x[k] = clamp(term < of->chromophores ? from * amounts[i % 3]
+                     : term == scattering    ? from + scatterings[i / 3]
+                                             : from,
                      of->low[k], of->high[k]);
   }
   const bool valid = expand(of, one.x, true, &of->now);
@@ -605,9 +617,60 @@ static bool is_idle(const core_spectral *of) {
 
 static void keep_minimum(core_spectral *of, bool settled) {
   struct minimum *one = &of->minima[of->minimum_count++];
-  *one = (struct minimum){.chi_squared = of->now.chi_squared, .settled = settled};
+  *one = (struct minimum){
+      .chi_squared = of->now.chi_squared, .settled = settled, .probed = of->probe != NULL};
   memcpy(one->x, of->now.x, sizeof one->x);
   of->stage = BEGINS;
+  if (of->probe != NULL) {
+    *of->probe = of->usual;
+    of->probe = NULL;
+  }
+}
+
+static const struct minimum *best_minimum(const core_spectral *of) {
+  const struct minimum *best = &of->minima[0];
+  for (size_t i = 1; i < of->minimum_count; i++) {
+    const bool better = of->minima[i].chi_squared < best->chi_squared;
+    best = better && !of->minima[i].probed ? &of->minima[i] : best;
+  }
+  return best;
+}
+
+/* Begins the next probe: a descent in what is PROBE errors of a, or else of b, from the best minimum, on
+ * one side. Returns whether there is any. */
+static bool begin_probe(core_spectral *of) {
+  const size_t n = of->unknowns, scattering = scattering_of(of);
+  const double way = of->probes++ == 0 ? -PROBE : PROBE;
+  const struct minimum *best = best_minimum(of);
+  struct spectrum by;
+  double unit[MOST] = {0}, row[MOST], from[MOST];
+  size_t k = 0;
+  while (k < n && of->term_of[k] != scattering) {
+    k++;
+  }
+  if (k == n || of->minimum_count == 0 || !expand(of, best->x, false, &of->now)) {
+    return false;
+  }
+  decompose(&of->now, n, NULL, &by);
+  unit[k] = 1;
+  const double error = sqrt(solve(&by, n, 0, unit, row)), at = best->x[k] + way * error;
+  if (!(error > 0 && at > of->low[k] && at < of->high[k])) {
+    return false;
+  }
+  for (size_t j = 0; j < n; j++) {
+    from[j] = clamp(best->x[j] + way * row[j] / error, of->low[j], of->high[j]);
+  }
+  from[k] = at;
+  if (!expand(of, from, false, &of->now) ||
+      fabs(of->now.chi_squared - best->chi_squared - PROBE * PROBE) < PROBE_NEAR * PROBE * PROBE) {
+    return false;
+  }
+  of->probe = way < 0 ? &of->high[k] : &of->low[k];
+  of->usual = *of->probe;
+  *of->probe = at;
+  of->damping = DAMPING_FIRST;
+  of->left = STEPS_MAX;
+  return true;
 }
 
 /* Goes on to the next descent, with logarithms if there is one from this start. */
@@ -648,7 +711,8 @@ bool core_spectral_begin(core_spectral *of, const core_fit *places, const double
   of->stage = COMPARES;
   of->evaluations = 0;
   of->candidate = 0;
-  of->next = of->minimum_count = 0;
+  of->next = of->minimum_count = of->probes = 0;
+  of->probe = NULL;
   of->values = values;
   of->errors = errors;
   const struct fit_wrong wrong = fit_check_set(of->count, values, errors);
@@ -808,22 +872,34 @@ static void set_model_errors(core_spectral *of, const struct quadratic *q,
   }
 }
 
-/* Takes another minimum that fits nearly as well for a second solution: fitted unknowns that differ there
- * are ambiguous. Returns whether there are any. */
+/* Makes what is fitted ambiguous if it has another value in a second solution. Returns whether it is. */
+static bool differs(double value, double other, uint16_t *status, double *error) {
+  const bool second = *status == CORE_FIT_STATUS_FITTED && fabs(other - value) > APART * *error;
+  *status = second ? CORE_FIT_STATUS_AMBIGUOUS : *status;
+  *error = second ? (double)INFINITY : *error;
+  return second;
+}
+
+/* Takes another minimum that fits nearly as well for a second solution: what is fitted and differs there
+ * is ambiguous. Returns whether there is any. */
 static bool take_second(const core_spectral *of, const struct minimum *best,
                         const struct minimum *other, core_spectral_result *result) {
-  const bool fits = other->settled && other->chi_squared < best->chi_squared + CORE_FIT_AMBIGUOUS;
   bool second = false;
-  for (size_t k = 0; k < of->unknowns && fits; k++) {
+  if (!other->settled || other->chi_squared >= best->chi_squared + CORE_FIT_AMBIGUOUS) {
+    return false;
+  }
+  for (size_t k = 0; k < of->unknowns; k++) {
     core_spectral_estimate *one = &result->unknown[k];
-    const double sd = sqrt(result->covariance[k * of->unknowns + k]);
     const double unit = of->term_of[k] == of->chromophores ? one->value : 1;
-    if (one->status == CORE_FIT_STATUS_FITTED &&
-        fabs(other->x[k] - best->x[k]) * unit > APART * sd) {
-      one->status = CORE_FIT_STATUS_AMBIGUOUS;
-      one->error = (double)INFINITY;
-      second = true;
-    }
+    second |= differs(one->value, one->value + (other->x[k] - best->x[k]) * unit, &one->status,
+                      &one->error);
+  }
+  if (of->oxy < of->chromophores && of->deoxy < of->chromophores) {
+    const double oxy = term_at(of, other->x, of->oxy),
+                 total = oxy + term_at(of, other->x, of->deoxy);
+    second |= differs(result->saturation, total > 0 ? oxy / total : (double)INFINITY,
+                      &result->saturation_status, &result->saturation_error);
+    second |= differs(result->total, total, &result->total_status, &result->total_error);
   }
   return second;
 }
@@ -838,10 +914,7 @@ static double condition_of(const struct spectrum *by, size_t n) {
 }
 
 static void put_result(core_spectral *of, core_spectral_result *result, double *residuals) {
-  const struct minimum *best = &of->minima[0];
-  for (size_t i = 1; i < of->minimum_count; i++) {
-    best = of->minima[i].chi_squared < best->chi_squared ? &of->minima[i] : best;
-  }
+  const struct minimum *best = best_minimum(of);
   struct found at = {.settled = best->settled};
   clear_result(of, (struct fit_wrong){0, 0}, result, residuals);
   if (of->minimum_count == 0 || !expand(of, best->x, false, &at.q)) {
@@ -867,10 +940,10 @@ static void put_result(core_spectral *of, core_spectral_result *result, double *
     vague |= result->unknown[k].status == CORE_FIT_STATUS_UNDETERMINED;
     precise &= result->unknown[k].status != CORE_FIT_STATUS_UNFINISHED;
   }
+  put_haemoglobin(of, &at, result);
   for (size_t i = 0; i < of->minimum_count; i++) {
     second |= take_second(of, best, &of->minima[i], result);
   }
-  put_haemoglobin(of, &at, result);
   double row[MOST], unused, error;
   measure(of, &at, at.q.along_factor, &error, &unused, row);
   result->factor_error =
@@ -890,6 +963,8 @@ bool core_spectral_step(core_spectral *of, core_spectral_result *result, double 
     of->next++;
   } else if (of->stage == BEGINS && of->next < STARTS) {
     begin_descent(of, true);
+  } else if (of->stage == BEGINS && of->probes < 2) {
+    of->stage = begin_probe(of) ? SETTLES : BEGINS;
   } else if (of->stage == BEGINS) {
     of->stage = ENDS;
   } else if (of->stage == COMES_NEAR && descend(of, &settled)) {
