@@ -103,8 +103,9 @@ typedef struct cli_settings {
   cli_count count, rings, seed, first;
   bool log;
   cli_texts wanted, plot;
-  const char *output; /* a file of tables, or of maps */
-  const char *mci;    /* an input file of MCML */
+  const char *output;      /* a file of tables, or of maps */
+  const char *mci;         /* an input file of MCML */
+  const char *not_for_mci; /* an option that was given, which means nothing beside --mci */
   bool errors, deviation;
   const char *quantity, *axes, *draw, *scale, *light;
   cli_numbers reference;

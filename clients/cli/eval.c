@@ -334,7 +334,7 @@ static int fail_model(const requests *run, const dipole_choice *model, const dip
   char what[96] = "";
   if (model != NULL && error->kind == DIPOLE_ERROR_REFUSED && error->status == run->bad_value &&
       (cli_choice(run->report->profile.info, DIPOLE_PARAMETER, error->field) != NULL ||
-       strcmp(error->field, "thickness") == 0)) {
+       cli_in_list("thickness,wanted", error->field))) {
     snprintf(what, sizeof what, "model %s: ", model->name);
   }
   return cli_fail_error_of(what, error);
@@ -651,9 +651,10 @@ int cli_eval_check(cli_settings *settings) {
   }
   const bool at_f = settings->f.count > 0;
   if (settings->mci != NULL) {
-    return cli_medium_given(settings) || settings->tissue.count > 0 || settings->plot.count > 0
-               ? cli_fail_usage("--mci has its media and radii in its file: leave the others out")
-               : CLI_OK;
+    return settings->not_for_mci == NULL
+               ? CLI_OK
+               : cli_fail_usage("--mci evaluates what its file says: leave --%s out",
+                                settings->not_for_mci);
   }
   const int status = cli_medium_check(settings);
   if (status != CLI_OK) {

@@ -1,5 +1,6 @@
 /* mci: MCML's input files of version 1.0 (L. Wang, S. Jacques, L. Zheng, "MCML - Monte Carlo modeling
  * of light transport in multi-layered tissues", 1995), and what MCML would estimate, without noise. */
+#include <errno.h>
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
@@ -230,7 +231,7 @@ int cli_mci(const cli_settings *settings) {
   mci_rows rows = {0};
   double version, runs = 0;
   if (in.file == NULL) {
-    return cli_fail("%s: cannot be opened", in.path);
+    return cli_fail("%s: %s", in.path, strerror(errno));
   }
   bool good = read_numbers(&in, 1, &version, "1.0, the version of MCML's input files") &&
               read_numbers(&in, 1, &runs, "the number of runs");

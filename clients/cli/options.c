@@ -348,6 +348,10 @@ static bool take_option(const cli_option *option, cli_settings *settings, int *s
     *status = CLI_OK;
     return false;
   }
+  if (!cli_in_list("mci,tolerance,format,connect,ca,certificate,key,timeout-ms,retry-ms",
+                   option->name)) {
+    settings->not_for_mci = option->name;
+  }
   const char *expected = take_value(option, optarg, true, settings);
   if (expected != NULL) {
     *status = cli_fail_usage("--%s: '%s' is no %s", option->name, optarg, expected);

@@ -182,12 +182,13 @@ $ dipole eval --sigma-a 0.01 --sigma-s 10 --g 0.9 --eta 1.4 --model better --f 0
   ]
 }
 
-$ dipole eval --sigma-a 0.01 --sigma-s 10 --f 1 --r 1 || dipole eval --sigma-a 0.01 --sigma-s 10 --f 1,-1
+$ dipole eval --sigma-a 0.01 --sigma-s 10 --f 1 --r 1 || dipole eval --sigma-a 0.01 --sigma-s 10 --f 1,-1 || dipole eval --sigma-a 0.01 --sigma-s 10 --model transport,better --wanted balance
 ! dipole eval: --f is for what ends with _f, and --r for all else: leave one out
 ! `dipole eval --help` says more.
 ! dipole eval: --f: -1 is no spatial frequency: give 0 or more, in 1/mm
 ! `dipole eval --help` says more.
-? 2
+! dipole eval: model better: bad-value: wanted: allowed: no balance: this model has only R; transport has it (--wanted)
+? 1
 
 $ dipole eval --sigma-a 0.01 --sigma-s 10 --f 1 --wanted R
 ! dipole eval: --f gives spatial frequencies: request what ends with _f alone

@@ -32,13 +32,15 @@ $ printf '1.0\n1\na A\n9\n.01 500\n10 1 1\n1\n1\n1.4 1 9 0 1e8\n1\n' > wide.mci;
 $ for n in 1 2; do printf "1.0\n1\na A\n9\n.01 .1\n10 2 1\n1\n$n\n$((2 * n)) 2 18 .75 .1\n$n\n" > one.mci; dipole eval --mci one.mci --tolerance 0.1 --format csv; done | sort | uniq -c | grep -v '^ *2 '
 ? 1
 
-$ dipole eval --mci two.mci --medium skin1
-! dipole eval: --mci has its media and radii in its file: leave the others out
+$ dipole eval --mci two.mci --medium skin1 || dipole eval --r 1 --mci two.mci --tolerance 0.1
+! dipole eval: --mci evaluates what its file says: leave --medium out
+! `dipole eval --help` says more.
+! dipole eval: --mci evaluates what its file says: leave --r out
 ! `dipole eval --help` says more.
 ? 2
 
 $ dipole eval --mci none.mci
-! dipole eval: none.mci: cannot be opened
+! dipole eval: none.mci: No such file or directory
 ? 1
 
 $ printf 'mcmli2.0\n' > new.mci; dipole eval --mci new.mci
