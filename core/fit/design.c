@@ -417,10 +417,15 @@ static void set_falling(core_fit *fit, const core_fit_design *design) {
 
 /* Prepares the table or the kernels that evaluate many media. */
 static core_fault set_kernels(struct fit_model *model) {
-  model->varies = !core_solves(model->model) && model->quantity == CORE_QUANTITY_R &&
-                  core_varying_prepare(&model->varying, model->isa, model->model, model->moments,
-                                       CORE_EVALUATOR_F64, model->g, model->eta, &model->parameters)
-                          .field == NULL;
+  if (!core_solves(model->model) && model->quantity == CORE_QUANTITY_R) {
+    const core_fault fault =
+        core_varying_prepare(&model->varying, model->isa, model->model, model->moments,
+                             CORE_EVALUATOR_F64, model->g, model->eta, &model->parameters);
+    if (fault.field != NULL && strcmp(fault.field, CORE_FIELD_MEMORY) == 0) {
+      return fault; /* a fit by the table would have other digits */
+    }
+    model->varies = fault.field == NULL;
+  }
   if (model->varies || model->thickness_mm > 0) {
     return (core_fault){0};
   }

@@ -42,7 +42,8 @@ struct search {
   double least[MOST], most[MOST], start[MOST];
   size_t level; /* for values; derivatives are those of FIRST_LEVEL */
   unsigned evaluations;
-  core_fault fault; /* of the last evaluation */
+  core_fault fault;  /* of the last evaluation */
+  core_fault memory; /* set by an evaluation that lacked memory: no result is that of the others */
 };
 
 /* ---- checking -------------------------------------------------------------------------------- */
@@ -140,6 +141,9 @@ static bool solve_readings(struct search *of, const double *x, size_t level, dou
                              : solver_layers_solve(&solution, of->isa, layer, request->layer_count,
                                                    1, tolerances[level], of->stop);
   of->evaluations++;
+  if (of->fault.field != NULL && strcmp(of->fault.field, CORE_FIELD_MEMORY) == 0) {
+    of->memory = of->fault;
+  }
   for (size_t i = 0; i < request->count && of->fault.field == NULL; i++) {
     const transport_number at = solver_layers_at(solution, 0, request->at[i]);
     R[i] = at.value;
@@ -454,7 +458,8 @@ core_fault core_layers_fit_run(core_layers_fit *fit, const core_isa *isa,
     minimize(&search, LAST_LEVEL, J, &found[at]);
   }
   free(J);
-  return solver_stops(stop) ? (core_fault){CORE_FIELD_STOPPED, "to be waited for", 0}
-         : starts == 0      ? search.fault
-                            : put_result(&search, &found[at], second, fit, residuals);
+  return solver_stops(stop)            ? (core_fault){CORE_FIELD_STOPPED, "to be waited for", 0}
+         : search.memory.field != NULL ? search.memory
+         : starts == 0                 ? search.fault
+                                       : put_result(&search, &found[at], second, fit, residuals);
 }
