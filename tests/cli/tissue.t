@@ -25,6 +25,10 @@ $ dipole tissue --tissue hbo2=80,a=2,b=1,rayleigh=.25,vessel_radius=.01 --wavele
   "haemoglobin": "prahl",
     {"wavelength_nm": 542, "sigma_a": 0.7479821901859662, "sigma_s": 17.458841410027716, "g": 0.9, "eta": 1.4, "sigma_s_prime": 1.7458841410027712}
 
+$ dipole tissue --tissue epidermis,thickness=.06 --wavelengths 500:500:1 --format csv
+wavelength_nm,sigma_a,sigma_s,g,eta,thickness,sigma_s_prime
+500,0.6670717348120088,68.70000000000002,0.9,1.4,0.06,6.87
+
 $ dipole tissue --tissue epidermis,thickness=.06 --tissue dermis --wavelengths 500,600 --format csv
 wavelength_nm,layers
 500,"0.667071735,68.7,0.9,1.4,0.06 0.0226221508,45.3,0.9,1.4"
@@ -90,12 +94,21 @@ $ for one in lever liver,c=3 liver,fat adult-head liver,fat=2; do dipole tissue 
 ! dipole tissue: --tissue adult-head: bad-value: a_per_mm: allowed: 0 to 1000: it has to be given
 ! dipole tissue: --tissue liver,fat=2: bad-value: fat_fraction: allowed: 0 to 1
 
-$ for one in 650,1200 850:650:5 400:1300:.5; do dipole tissue --tissue liver --wavelengths $one || echo $?; done
+$ for one in 650,1200 850:650:5 650:850:0 650:850:-1 650:850 400:1300:.5; do dipole tissue --tissue liver --wavelengths $one || echo $?; done
 1
+2
+2
+2
 2
 2
 ! dipole tissue: --tissue liver: bad-value: wavelength: allowed: 250 to 1000 nm, the range of HBO2 (Prahl 1998, omlc.org) (--wavelengths)
 ! dipole tissue: --wavelengths: '850:650:5' is no wavelength in nm, and no FROM:TO:STEP as 450:1000:5
+! `dipole tissue --help` says more.
+! dipole tissue: --wavelengths: '650:850:0' is no wavelength in nm, and no FROM:TO:STEP as 450:1000:5
+! `dipole tissue --help` says more.
+! dipole tissue: --wavelengths: '650:850:-1' is no wavelength in nm, and no FROM:TO:STEP as 450:1000:5
+! `dipole tissue --help` says more.
+! dipole tissue: --wavelengths: '650:850' is no wavelength in nm, and no FROM:TO:STEP as 450:1000:5
 ! `dipole tissue --help` says more.
 ! dipole tissue: --wavelengths: give at most 1024
 ! `dipole tissue --help` says more.

@@ -66,7 +66,8 @@ class Daemon:
     """A running dipoled. Without `listen`, it listens on a Unix socket and on a free TCP port. env:
     additional environment variables. listen: addresses. quiet: the daemon logs nothing, so its
     address is the one in `listen`. prefix: a program that starts the daemon. pass_fds: file
-    descriptors that it inherits. counting: allocations() works."""
+    descriptors that it inherits. counting: allocations() and
+    fail_allocation() work."""
 
     def __init__(
         self,
@@ -176,7 +177,17 @@ class Daemon:
 
     def allocations(self) -> int:
         """Returns how often the daemon has called malloc, calloc or realloc so far."""
-        return int.from_bytes(self._allocations.read_bytes(), "little")
+        return int.from_bytes(self._allocations.read_bytes()[:8], "little")
+
+    def fail_allocation(self, number: int) -> bool:
+        """Lets a later call of malloc, calloc or realloc fail, the next one for 1, none for 0. Returns
+        whether the one that was named before is still to come. The daemon's libraries go on."""
+        with self._allocations.open("r+b") as file:
+            file.seek(8)
+            waits = any(file.read(8))
+            file.seek(8)
+            file.write(number.to_bytes(8, "little"))
+        return waits
 
     # ---- ending it -------------------------------------------------------------------------------
 

@@ -3,6 +3,7 @@ descriptors. In each case, every valid request gets its correct answer exactly o
 
 import contextlib
 import functools
+import http.client
 import os
 import random
 import resource
@@ -13,6 +14,7 @@ import ssl
 import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import Any
 
 import dipole
 import pytest
@@ -22,9 +24,12 @@ from daemons import Daemon, eventually, read_log_line, sanitized
 from dipole import Connection, ConnectionLost, wire
 from frames import EVAL, F32, R, eval_payload, frame, serves, statistics
 from messages import (
-    PARTS, Known, assert_answer, every_kind, known_answers, receive_answer, refusal, short_requests,
+    PARTS, SAMPLES, Known, assert_answer, every_kind, known_answers, receive_answer, refusal, short_requests,
 )
+from modbus_master import AT, Lost, Tcp, input_block, write_read_pdu
+from test_http import BASES, post
 from test_metrics import fetch
+from test_scpi import MED, Raw
 
 
 def assert_all_right(connection: Connection, known: list[Known], order: list[int], last: bool = False) -> None:
@@ -266,6 +271,68 @@ def test_no_memory_for_the_first_thread_that_prepares(daemon, kind):
                 client.mc(dipole.Medium(0.1, 1.0), dipole.Grid(0, 1, 2), photons=4096)
     with one.client() as client:
         assert client.ping() > 0
+
+
+ANY = "127.0.0.1:0"
+
+
+def ask_message(daemon: Daemon, message: str) -> object:
+    with daemon.connect() as connection:
+        for name in ("points", message) if message == "gather" else (message,):
+            connection.send_bytes(frame(wire.MESSAGES[name], 1, SAMPLES[name]))
+            first, parts = receive_answer(connection)
+            if refusal(first):
+                return refusal(first)
+    return parts
+
+
+def ask_http(daemon: Daemon, message: str) -> object:
+    answer = post(daemon, f"/v1/{message}", **BASES[message])
+    return "busy" if answer.status in (429, 503) else answer.text
+
+
+def ask_modbus(daemon: Daemon, unit: int) -> object:
+    with Tcp(daemon) as master:
+        answer = master.exchange(unit, write_read_pdu(AT["COMMIT"], input_block(1, radii=[1.0]), AT["R"], 2))
+    return "busy" if answer[0] & 0x80 else answer
+
+
+def ask_scpi(daemon: Daemon, query: str) -> object:
+    with Raw(daemon) as raw:
+        raw.send(query, "SYST:ERR?")
+        first = raw.line()  # the error, if the query has no answer
+    if not first:
+        raise Lost
+    return "busy" if first.startswith(("-300,", "-321,")) else first
+
+
+# What each way into the daemon is asked for. fit_layers makes thousands of allocations, which take
+# seconds; statistics change.
+ASKED: dict[str, tuple[Callable[[Daemon, Any], object], list[Any]]] = {
+    "binary": (ask_message, [name for name in SAMPLES if name != "statistics"]),
+    "http": (ask_http, ["eval", "fit"]),
+    "modbus": (ask_modbus, [1, 2]),
+    "scpi": (ask_scpi, [f"{MED};:MOD BETTER;:R? 0.5,1"]),
+}
+
+
+@pytest.mark.skipif(sanitized(), reason="the counting daemon is not")
+@pytest.mark.parametrize("way", ASKED)
+def test_each_allocation_may_fail(daemon, way):
+    """Whichever allocation a request makes fails: the client gets the usual answer, BUSY, or the end
+    of its connection, then the usual answer again, and Daemon.close() finds that nothing is lost."""
+    one = daemon("--cache-bytes", "0", "--http", ANY, "--modbus", f"tcp:{ANY}", "--scpi", ANY, counting=True)
+    ask, requests = ASKED[way]
+    for request in requests:
+        number, step = (100, 2000) if request == "fit_layers" else (1, 1)
+        usual, waits = ask(one, request), False
+        while not waits:
+            one.fail_allocation(number)
+            with contextlib.suppress(ConnectionLost, OSError, Lost, http.client.HTTPException):
+                assert ask(one, request) in (usual, "busy"), (request, number)
+            waits = one.fail_allocation(0)
+            number += step
+        assert ask(one, request) == usual
 
 
 # ---- wake-ups ------------------------------------------------------------------------------------
