@@ -114,6 +114,7 @@ typedef struct work {
   dipole_gather_query query;
   cloud points, queries;
   double *M; /* [queries][channels] */
+  dipole_gather_result result;
   cli_progress progress;
 } work;
 
@@ -135,7 +136,6 @@ static int fail_at(const work *of, const dipole_error *error) {
 static int request_sums(work *of) {
   dipole_error error;
   dipole_points *set;
-  dipole_gather_result result;
   const cloud *points = &of->points;
   if (points->count == 0) {
     return cli_fail("%s: it has no points", points->sheet.source);
@@ -158,9 +158,9 @@ static int request_sums(work *of) {
   };
   cli_catch_interrupt();
   cli_progress_start(&of->progress, "queries");
-  const bool good = CLI_RETRY(
-      of->settings, &error,
-      dipole_gather(of->client, &of->query, show_queries, &of->progress, of->M, &result, &error));
+  const bool good = CLI_RETRY(of->settings, &error,
+                              dipole_gather(of->client, &of->query, show_queries, &of->progress,
+                                            of->M, &of->result, &error));
   cli_progress_wipe(&of->progress);
   dipole_points_free(set);
   return !good               ? fail_at(of, &error)
@@ -190,6 +190,27 @@ static void report_infinite(const work *of) {
 
 /* ---- the command ----------------------------------------------------------------------------- */
 
+/* Writes the relative errors of all sums: in CSV in each row, else before the rows. */
+static void put_errors(cli_rows *rows, const work *of) {
+  cli_put_number(rows, of->result.bound, "bound", "error by grouping", NULL, "%.1e");
+  for (uint32_t c = 0; c < of->points.channels; c++) {
+    char numerical[32], model[32];
+    snprintf(numerical, sizeof numerical, "numerical_error_%u", c + 1);
+    snprintf(model, sizeof model, "model_error_%u", c + 1);
+    cli_put_number(rows, of->result.numerical_error[c], numerical, .format = "%.1e");
+    cli_put_number(rows, of->result.model_error[c], model, NULL, NULL, "%.1e", "not solved");
+  }
+}
+
+static void put_facts(cli_rows *rows, const void *context) {
+  const work *of = context;
+  cli_put_profile(rows, &of->profile);
+  put_errors(rows, of);
+  if (rows->form == CLI_JSON || of->result.notes != 0) {
+    cli_put_notes(rows, of->profile.info, of->result.notes);
+  }
+}
+
 static void put_query(cli_rows *rows, const void *context, size_t index) {
   const work *of = context;
   const bool any = index < of->queries.count;
@@ -201,6 +222,9 @@ static void put_query(cli_rows *rows, const void *context, size_t index) {
     snprintf(name, sizeof name, "M_%u", c + 1);
     cli_put_number(rows, any ? of->M[index * of->points.channels + c] : 0, name, NULL, "W/mm^2",
                    "%.5e");
+  }
+  if (rows->form == CLI_CSV) {
+    put_errors(rows, of);
   }
 }
 
@@ -223,7 +247,7 @@ static int run_gather(const cli_settings *settings, dipole_client *client) {
   status = request_sums(&of);
   if (status == CLI_OK) {
     report_infinite(&of);
-    const cli_report output = {.rows = of.queries.count, .put_row = put_query};
+    const cli_report output = {.facts = put_facts, .rows = of.queries.count, .put_row = put_query};
     cli_write(&output, settings->form, &of);
   }
   return status;
@@ -239,9 +263,11 @@ const cli_command cli_command_gather = {
         "query gets the sum of R(distance) times power over all points, in W/mm^2, for each "
         "channel (Jensen and Buhler 2002). POINTS and QUERIES are CSV with the columns x, y, z "
         "in mm, and power, or power_1, power_2 and so on, in W; - is standard input. What is "
-        "written has the columns M_1, M_2 and so on. At a point's own position R is infinite "
-        "for most models, and so is the sum: move such queries off the points, along the normal, "
-        "by half the radius of a disc of a point's area." CLI_CSV_TEXT,
+        "written has M_1, M_2 and so on, and how far all may be off, relative to M: bound by "
+        "grouping, numerical_error_1 and so on by arithmetic, model_error_1 and so on by the "
+        "model, whose R is compared at 0.01 to 20 mean free paths. At a point's own position R is "
+        "infinite for most models, and so is the sum: move such queries off the points, along the "
+        "normal, by half the radius of a disc of a point's area." CLI_CSV_TEXT,
     .formats = "csv,table,json",
     .options = {cli_medium_options, cli_layer_options, options},
     .examples = "  dipole gather points.csv queries.csv --medium skin1 --channel red > M.csv\n"

@@ -21,9 +21,10 @@ typedef struct cli_table {
   char **cells;
 } cli_table;
 
-/* Adds the next cell. */
-__attribute__((format(printf, 2, 3), nonnull)) static void add_cell(cli_table *table,
+/* Adds the next cell, or writes it at once if there is no table. */
+__attribute__((format(printf, 2, 3), nonnull)) static void add_cell(const cli_rows *rows,
                                                                     const char *format, ...) {
+  cli_table *table = rows->table;
   va_list arguments;
   va_start(arguments, format);
   const int length = vsnprintf(NULL, 0, format, arguments);
@@ -33,6 +34,11 @@ __attribute__((format(printf, 2, 3), nonnull)) static void add_cell(cli_table *t
   vsnprintf(cell, (size_t)length + 1, format, arguments);
   va_end(arguments);
   libdipole_clean_text(cell); /* names may come from files */
+  if (table == NULL) {
+    fputs(cell, rows->file);
+    cli_free(cell);
+    return;
+  }
   if (table->cell_count == table->cell_capacity) {
     table->cell_capacity = table->cell_capacity == 0 ? 64 : 2 * table->cell_capacity;
     table->cells = cli_resize(table->cells, table->cell_capacity, sizeof *table->cells);
@@ -177,7 +183,7 @@ static bool begin_value(cli_rows *rows, const cli_column *column) {
                        : rows->pass == CLI_ROWS_HEAD ? head
                        : column->below != NULL       ? column->below
                                                      : column->unit;
-    add_cell(rows->table, "%s", text != NULL ? text : "");
+    add_cell(rows, "%s", text != NULL ? text : "");
   } else if (rows->form == CLI_CSV) {
     write_between(rows);
     if (!values) {
@@ -201,15 +207,13 @@ void cli_rows_shown(cli_rows *rows, double value, const char *text, const cli_co
   }
   if (rows->form == CLI_JSON) {
     write_number(value, rows->file);
-  } else if (rows->pass == CLI_ROWS_TITLE) {
-    fprintf(rows->file, column->format != NULL ? column->format : "%.6g", value);
   } else if (rows->form == CLI_CSV) {
     decimal_write(value, number);
     fputs(isnan(value) ? "" : number, rows->file);
   } else if (text != NULL) {
-    add_cell(rows->table, "%s", text);
+    add_cell(rows, "%s", text);
   } else {
-    add_cell(rows->table, column->format != NULL ? column->format : "%.6g", value);
+    add_cell(rows, column->format != NULL ? column->format : "%.6g", value);
   }
 }
 
@@ -218,13 +222,8 @@ void cli_rows_number(cli_rows *rows, double value, const cli_column *column) {
 }
 
 void cli_rows_count(cli_rows *rows, uint64_t value, const cli_column *column) {
-  if (!begin_value(rows, column)) {
-    return;
-  }
-  if (rows->form == CLI_TABLE && rows->pass == CLI_ROWS_VALUES) {
-    add_cell(rows->table, "%llu", (unsigned long long)value);
-  } else {
-    fprintf(rows->file, "%llu", (unsigned long long)value);
+  if (begin_value(rows, column)) {
+    add_cell(rows, "%llu", (unsigned long long)value);
   }
 }
 
@@ -236,10 +235,8 @@ void cli_rows_text(cli_rows *rows, const char *text, const cli_column *column) {
     write_text(text, rows->file);
   } else if (rows->form == CLI_CSV) {
     cli_csv_write_cell(text, rows->file);
-  } else if (rows->pass == CLI_ROWS_TITLE) {
-    fputs(text, rows->file);
   } else {
-    add_cell(rows->table, "%s", text);
+    add_cell(rows, "%s", text);
   }
 }
 
