@@ -394,11 +394,15 @@ static int make_profile(bake *of) {
 /* ---- colours --------------------------------------------------------------------------------- */
 
 /* Requests the albedos of single scattering of `count` colours in equal steps from 0 to 1. */
-static bool ask_albedos(const bake *of, const dipole_choice *light, size_t count, double *albedos) {
+static int ask_albedos(const bake *of, size_t count, double *albedos) {
   const cli_settings *settings = of->settings;
   double *colours = cli_allocate(2 * count, sizeof *colours), *lengths_mm = colours + count;
+  const dipole_choice *light = cli_named(of->profile.info, DIPOLE_LIGHT, "light", settings->light);
   dipole_varying_result *result;
   dipole_error error;
+  if (light == NULL) {
+    return CLI_USAGE;
+  }
   for (size_t i = 0; i < count; i++) {
     colours[i] = (double)i / (double)(count - 1);
     lengths_mm[i] = 1;
@@ -418,24 +422,20 @@ static bool ask_albedos(const bake *of, const dipole_choice *light, size_t count
                                       .parameters = &tolerance,
                                       .parameter_count = 1};
   if (!CLI_RETRY(settings, &error, dipole_varying(of->client, &query, &result, &error))) {
-    return cli_fail_error(&error) == CLI_OK;
+    return cli_fail_error(&error);
   }
   memcpy(albedos, dipole_coefficients_f64(result, DIPOLE_SCATTERED), count * sizeof *albedos);
   dipole_varying_result_free(result);
-  return true;
+  return CLI_OK;
 }
 
 static int make_colour_map(bake *of) {
   static const char *const names[] = {"scattered"};
   const size_t size = of->settings->size.value, fine = 2 * size - 1;
   double *albedos = cli_allocate(fine, sizeof *albedos), error = CORE_COLOUR_ERROR;
-  const dipole_choice *light =
-      cli_named(of->profile.info, DIPOLE_LIGHT, "light", of->settings->light);
-  if (light == NULL) {
-    return CLI_USAGE;
-  }
-  if (!ask_albedos(of, light, fine, albedos)) {
-    return CLI_FAILED;
+  const int status = ask_albedos(of, fine, albedos);
+  if (status != CLI_OK) {
+    return status;
   }
   set_rows(&of->sheet, size, 1, names);
   of->sheet.width = size;
@@ -770,13 +770,11 @@ static int check(cli_settings *settings) {
 static int take_media(bake *of) {
   static const struct {
     const char *name, *about;
-    size_t offset;
   } of_layer[] = {
-      {"sigma_a", "absorption coefficient, 1/mm", offsetof(dipole_medium, sigma_a_per_mm)},
-      {"sigma_s", "scattering coefficient, 1/mm", offsetof(dipole_medium, sigma_s_per_mm)},
-      {"g", "mean cosine of the scattering angle", offsetof(dipole_medium, g)},
-      {"eta", "refractive index", offsetof(dipole_medium, eta)},
-      {"thickness", "mm; 0: a half space", offsetof(dipole_medium, thickness_mm)},
+      /* as the members of dipole_medium */
+      {"sigma_a", "absorption coefficient, 1/mm"},  {"sigma_s", "scattering coefficient, 1/mm"},
+      {"g", "mean cosine of the scattering angle"}, {"eta", "refractive index"},
+      {"thickness", "mm; 0: a half space"},
   };
   double numbers[CLI_COLOURS], colours[CLI_COLOURS], errors[CLI_COLOURS];
   const int status = cli_profile_take(of->settings, of->client, &of->profile);
@@ -801,8 +799,7 @@ static int take_media(bake *of) {
     for (size_t k = 0; k < (half_space ? 4 : 5); k++) {
       char name[32];
       for (size_t i = 0; i < CLI_COLOURS; i++) {
-        numbers[i] =
-            *(const double *)((const char *)&of->media[i * layers + layer] + of_layer[k].offset);
+        numbers[i] = ((const double *)&of->media[i * layers + layer])[k];
       }
       snprintf(name, sizeof name, layers > 1 ? "%s_%zu" : "%s", of_layer[k].name, layer + 1);
       add_fact(&of->sheet, cli_copy(name, strlen(name)), of_layer[k].about, numbers);

@@ -79,14 +79,8 @@ typedef struct convention {
   const char *names, *source, *note;
 } convention;
 
-#define LENGTH_EXTINCTION EXTINCTION
-#define LENGTH_CLASSICAL CLASSICAL_LENGTH
-#define LENGTH_SKIN SKIN
-#define LENGTH_BURLEY BURLEY
-#define LENGTH_BLENDER BLENDER
-#define LENGTH_UNREAL UNREAL
 #define CONVENTION(name, COLOUR, LENGTH, unit_mm, FORM, names, source, note)                       \
-  {name, COLOUR, LENGTH_##LENGTH, unit_mm, &form_##FORM, names, source, note},
+  {name, COLOUR, LENGTH, unit_mm, &form_##FORM, names, source, note},
 static const convention conventions[] = {
 #include "clients/cli/conventions.def"
 };
@@ -653,10 +647,7 @@ static int check(cli_settings *settings) {
     return cli_fail_usage("give --from: a convention, or " COEFFICIENTS);
   }
   if (!find_convention("from", settings->source, &from) ||
-      !find_convention("to", settings->target, &to)) {
-    return CLI_USAGE;
-  }
-  if (isnan(cli_unit_mm(settings))) {
+      !find_convention("to", settings->target, &to) || isnan(cli_unit_mm(settings))) {
     return CLI_USAGE;
   }
   if (settings->unit != NULL && (from == NULL || from->unit_mm > 0) &&

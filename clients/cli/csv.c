@@ -150,14 +150,13 @@ static bool check_unread(const char *source, const char *name, const char *const
     }
   }
   if (column.name != NULL) {
-    cli_fail("%s: the column %s is not read; the nearest that is read is %s: rename it", source,
-             name, column.name);
-  } else if (given.name != NULL) {
-    cli_fail("%s: the column %s is not read; the nearest is the option --%s, which holds for all "
-             "rows: give it, and rename the column",
-             source, name, given.name);
+    return cli_fails("%s: the column %s is not read; the nearest that is read is %s: rename it",
+                     source, name, column.name);
   }
-  return column.name == NULL && given.name == NULL;
+  return given.name == NULL ||
+         cli_fails("%s: the column %s is not read; the nearest is the option --%s, which holds for "
+                   "all rows: give it, and rename the column",
+                   source, name, given.name);
 }
 
 bool cli_csv_find(const char *source, const cli_csv_record *header, const char *const *names,
@@ -174,8 +173,7 @@ bool cli_csv_find(const char *source, const cli_csv_record *header, const char *
     if (k == count) {
       good = check_unread(source, name, names, count, options);
     } else if (at[k] != CLI_CSV_ABSENT) {
-      cli_fail("%s: the header has the column %s twice: rename one", source, name);
-      good = false;
+      good = cli_fails("%s: the header has the column %s twice: rename one", source, name);
     } else {
       at[k] = i;
     }

@@ -124,10 +124,10 @@ static void keep_part(cli_eval_report *report, size_t model, size_t of_channel, 
 
 /* ---- models ---------------------------------------------------------------------------------- */
 
-static bool choose_model(const char *name, cli_eval_report *report) {
+static bool choose_model(const char *name, bool is_reference, cli_eval_report *report) {
   const dipole_choice *model = cli_named(report->profile.info, DIPOLE_MODEL, "model", name);
   if (model != NULL) {
-    add_model(report, model, true);
+    add_model(report, model, !is_reference)->is_reference |= is_reference;
   }
   return model != NULL;
 }
@@ -141,7 +141,7 @@ static bool choose_models(const cli_settings *settings, cli_eval_report *report)
   for (size_t i = 0; i < names->count; i++) {
     const dipole_choice *model;
     if (strcmp(names->items[i], MODEL_ALL) != 0) {
-      if (!choose_model(names->items[i], report)) {
+      if (!choose_model(names->items[i], false, report)) {
         return false;
       }
       continue;
@@ -151,16 +151,7 @@ static bool choose_models(const cli_settings *settings, cli_eval_report *report)
       add_model(report, model, false);
     }
   }
-  return names->count > 0 || choose_model(CLI_MODEL_DEFAULT, report);
-}
-
-static bool choose_reference(cli_eval_report *report) {
-  const dipole_choice *model =
-      cli_named(report->profile.info, DIPOLE_MODEL, "model", CLI_MODEL_DEFAULT);
-  if (model != NULL) {
-    add_model(report, model, false)->is_reference = true;
-  }
-  return model != NULL;
+  return names->count > 0 || choose_model(CLI_MODEL_DEFAULT, false, report);
 }
 
 /* ---- quantities and radii -------------------------------------------------------------------- */
@@ -373,7 +364,8 @@ int cli_eval_request(const cli_settings *settings, dipole_client *client, cli_ev
     return status;
   }
   const dipole_info *info = report->profile.info;
-  if (!choose_models(settings, report) || (settings->deviation && !choose_reference(report)) ||
+  if (!choose_models(settings, report) ||
+      (settings->deviation && !choose_model(CLI_MODEL_DEFAULT, true, report)) ||
       !take_quantities(settings, report)) {
     return CLI_USAGE;
   }
@@ -675,21 +667,20 @@ static bool is_local(const cli_settings *settings) {
   return settings->mci != NULL;
 }
 
-static int write_and_draw(const cli_settings *settings, const cli_eval_report *report) {
-  if (settings->plot.count > 0 && (report->quantities.wanted & DIPOLE_R) == 0) {
-    return cli_fail_usage("--plot draws R: add R to --wanted");
-  }
-  write_report(report, settings->form);
-  return settings->plot.count > 0 ? cli_plot_R(report, &settings->plot) : CLI_OK;
-}
-
 static int run_eval(const cli_settings *settings, dipole_client *client) {
   cli_eval_report report = {0};
   if (settings->mci != NULL) {
     return cli_mci(settings);
   }
   const int status = cli_eval_request(settings, client, &report);
-  return status == CLI_OK ? write_and_draw(settings, &report) : status;
+  if (status != CLI_OK) {
+    return status;
+  }
+  if (settings->plot.count > 0 && (report.quantities.wanted & DIPOLE_R) == 0) {
+    return cli_fail_usage("--plot draws R: add R to --wanted");
+  }
+  write_report(&report, settings->form);
+  return settings->plot.count > 0 ? cli_plot_R(&report, &settings->plot) : CLI_OK;
 }
 
 const cli_command cli_command_eval = {

@@ -508,9 +508,8 @@ static bool request_fits(dipole_client *client, report *of, dipole_error *error)
 
 /* ---- writing --------------------------------------------------------------------------------- */
 
-static const char *status_of(const report *of, const dipole_fitted *fitted) {
-  const dipole_choice *status =
-      cli_choice_of_id(of->profile.info, DIPOLE_FIT_STATUS, fitted->status);
+const char *cli_fit_status(const dipole_info *info, unsigned id) {
+  const dipole_choice *status = cli_choice_of_id(info, DIPOLE_FIT_STATUS, id);
   return status != NULL ? status->name : "unknown";
 }
 
@@ -547,7 +546,7 @@ static void put_sample(cli_rows *rows, const void *context, size_t index) {
   cli_put_text(rows, sample->g_from, "g_from", "g from");
   cli_put_text(rows, sides_of_g[change->sides], "g_sides", "g sides");
   cli_put_number(rows, sample->eta, "eta");
-  cli_put_text(rows, status_of(of, one), "status");
+  cli_put_text(rows, cli_fit_status(of->profile.info, one->status), "status");
   const unsigned json = CLI_IN_JSON;
   cli_put_number(rows, one->reduced_chi_squared, "reduced_chi2", .forms = json);
   cli_put_number(rows, one->condition, "condition", .forms = json);
@@ -594,12 +593,10 @@ static int judge(const report *of) {
       cli_fit_report_reading(sample->name, of->lines[sample->first + one->index], one->field == 2);
     }
   }
-  if (bad == 0) {
-    return CLI_OK;
-  }
-  cli_fail("%s: %zu of %zu samples were not fitted: see the column status", of->source, bad,
-           of->sample_count);
-  return CLI_BAD_ROWS;
+  return bad == 0 ? CLI_OK
+                  : cli_say(CLI_BAD_ROWS,
+                            "%s: %zu of %zu samples were not fitted: see the column status",
+                            of->source, bad, of->sample_count);
 }
 
 /* ---- the command ----------------------------------------------------------------------------- */
@@ -730,7 +727,6 @@ static void put_estimate(cli_rows *rows, const void *context, size_t index) {
   const dipole_estimate refused = {
       .status = DIPOLE_FIT_REFUSED, .value = none, .error = (double)INFINITY};
   const dipole_estimate *one = fit != NULL ? &fit->estimates[index % each] : &refused;
-  const dipole_fitted state = {.status = one->status};
   const dipole_choice *name =
       cli_choice_of_id(of->profile.info, DIPOLE_UNKNOWN, bits & (~bits + 1));
   const unsigned with_factor = is_free(of) ? 0U : CLI_IN_CSV | CLI_IN_JSON;
@@ -738,7 +734,7 @@ static void put_estimate(cli_rows *rows, const void *context, size_t index) {
   cli_put_text(rows, name != NULL ? name->name : "unknown", "unknown");
   cli_put_number(rows, one->value, "value", .unit = "1/mm, mm", .format = "%.5g", .missing = "-");
   cli_put_number(rows, one->error, "error", .unit = "1/mm, mm", .format = "%.2g");
-  cli_put_text(rows, status_of(of, &state), "status");
+  cli_put_text(rows, cli_fit_status(of->profile.info, one->status), "status");
   cli_put_number(rows, fit != NULL ? fit->factor : none, "scale", .missing = "-",
                  .forms = with_factor);
   cli_put_number(rows, fit != NULL ? fit->factor_error : none, "scale_error", "its error",
@@ -748,7 +744,8 @@ static void put_estimate(cli_rows *rows, const void *context, size_t index) {
   cli_put_count(rows, of->samples[sample].count, "readings");
   cli_put_number(rows, fit != NULL ? fit->numerical_error : none, "numerical_error",
                  "numerical error", .format = "%.1e", .missing = "-");
-  cli_put_text(rows, status_of(of, &of->fitted[sample]), "sample_status", "sample is");
+  cli_put_text(rows, cli_fit_status(of->profile.info, of->fitted[sample].status), "sample_status",
+               "sample is");
 }
 
 static void write_layers_foot(const void *context) {

@@ -358,11 +358,6 @@ static void put_facts(cli_rows *rows, const void *context) {
   cli_put_text(rows, of->scale->name, "scale");
 }
 
-static const char *status_name(const report *of, unsigned status) {
-  const dipole_choice *one = cli_choice_of_id(of->profile.info, DIPOLE_FIT_STATUS, status);
-  return one != NULL ? one->name : "unknown";
-}
-
 static size_t rows_of_sample(const report *of) {
   return of->query.sought_count + (of->blood ? 2 : 0);
 }
@@ -400,7 +395,7 @@ static void put_estimate(cli_rows *rows, const void *context, size_t index) {
   cli_put_number(rows, one.value, "value", .format = "%.5g", .missing = "-");
   cli_put_number(rows, one.error, "error", .format = "%.2g", .missing = "-");
   cli_put_number(rows, one.numerical, "numerical", .format = "%.1e", .missing = "-");
-  cli_put_text(rows, status_name(of, one.status), "status");
+  cli_put_text(rows, cli_fit_status(of->profile.info, one.status), "status");
   cli_put_number(rows, set->factor, "scale", .format = "%.5g", .missing = "-",
                  .forms = with_factor);
   cli_put_number(rows, set->factor_error, "scale_error", "its error", .format = "%.2g",
@@ -409,7 +404,7 @@ static void put_estimate(cli_rows *rows, const void *context, size_t index) {
   cli_put_count(rows, sample->readings, "readings");
   cli_put_number(rows, set->condition, "condition", .format = "%.3g", .missing = "-");
   cli_put_number(rows, set->model_error, "model_error", .forms = CLI_IN_JSON);
-  cli_put_text(rows, status_name(of, set->status), "sample_status", "sample is");
+  cli_put_text(rows, cli_fit_status(of->profile.info, set->status), "sample_status", "sample is");
 }
 
 static void write_foot(const void *context) {
@@ -603,10 +598,8 @@ int cli_fit_tissue_run(const cli_settings *settings, dipole_client *client) {
     }
     dipole_tissue_fits_free(one->fits);
   }
-  if (bad == 0) {
-    return CLI_OK;
-  }
-  cli_fail("%s: %zu of %zu samples were not fitted whole: see the column status", of.sheet.source,
-           bad, of.sample_count);
-  return CLI_BAD_ROWS;
+  return bad == 0 ? CLI_OK
+                  : cli_say(CLI_BAD_ROWS,
+                            "%s: %zu of %zu samples were not fitted whole: see the column status",
+                            of.sheet.source, bad, of.sample_count);
 }

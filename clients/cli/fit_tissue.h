@@ -14,4 +14,7 @@ enum { CLI_FIT_REPORTED_MAX = 10 };
 /* Says that the reading in a line, or its error, is wrong. */
 void cli_fit_report_reading(const char *sample, uint64_t line, bool is_error);
 
+/* Returns the name of a fit's status. */
+const char *cli_fit_status(const dipole_info *info, unsigned id);
+
 #endif

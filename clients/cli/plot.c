@@ -345,10 +345,8 @@ static int draw_plot(const cli_settings *settings, const cli_eval_report *report
 /* Requests one quantity at the radii of `eval`, which has to have a value at each. */
 static int request_curves(cli_settings eval, const char *name, dipole_client *client,
                           cli_eval_report *report) {
-  char quantity[64];
-  char *wanted[] = {quantity};
-  snprintf(quantity, sizeof quantity, "%s", name);
-  eval.wanted = (cli_texts){1, wanted, quantity};
+  char *wanted[] = {cli_copy(name, strlen(name))};
+  eval.wanted = (cli_texts){1, wanted, wanted[0]};
   const dipole_choice *choice =
       cli_named(dipole_get_info(client), DIPOLE_QUANTITY, "quantity", name);
   if (choice != NULL && (choice->id & (CLI_OF_CHANNEL | DIPOLE_RADIUS)) != 0) {

@@ -45,7 +45,7 @@ static const cli_option options[] = {
 
 /* ---- what is known --------------------------------------------------------------------------- */
 
-/* The input columns; those with names as cells come first. */
+/* The input columns; those with names as cells come first, then the members of dipole_medium. */
 enum {
   MODEL,
   MOMENTS,
@@ -102,15 +102,6 @@ typedef struct points_row {
   dipole_errors errors;
   char status[sizeof((dipole_error *)0)->text]; /* the error's text if the row is bad */
 } points_row;
-
-/* Where the numbers of inputs lie in a row. */
-static const size_t offsets[INPUTS] = {[FIRST_NUMBER] = offsetof(points_row, medium.sigma_a_per_mm),
-                                       [FIRST_NUMBER + 1] =
-                                           offsetof(points_row, medium.sigma_s_per_mm),
-                                       [FIRST_NUMBER + 2] = offsetof(points_row, medium.g),
-                                       [FIRST_NUMBER + 3] = offsetof(points_row, medium.eta),
-                                       [THICKNESS] = offsetof(points_row, medium.thickness_mm),
-                                       [RADIUS] = offsetof(points_row, r_mm)};
 
 /* Rows that are requested and written together; fewer if their texts reach this many bytes. */
 enum { ROWS = 8192 };
@@ -431,7 +422,7 @@ static bool read_number(const points_run *points, points_row *row, size_t input)
   const size_t at = points->columns.at[input];
   const bool given = at != CLI_CSV_ABSENT;
   const char *text = given ? cli_csv_cell_text(&row->record, at, &length) : "";
-  double *to = (double *)(void *)((char *)row + offsets[input]);
+  double *to = input == RADIUS ? &row->r_mm : (double *)&row->medium + (input - FIRST_NUMBER);
   return (given && cli_csv_number(&row->record, at, to)) ||
          make_bad(row,
                   "%s: '%.*s' is no number: allowed: decimal numbers within the range of doubles%s",
@@ -861,14 +852,13 @@ static bool read_header(points_run *points) {
   while ((good = read_record(points, &header, &kind)) && kind == CLI_CSV_COMMENT) {
     fwrite(header.bytes, 1, header.length, stdout);
   }
-  if (good) {
-    good = find_columns(points, &header);
-    if (good) {
-      write_header(&points->columns, &header);
-    }
-  } else if (!points->failed) {
+  if (!good && !points->failed) {
     fail(points, "there is no header line; it names the columns: sigma_a, sigma_s, g, eta, r, if "
                  "need be model, moments, medium, channel and parameters");
+  }
+  good = good && find_columns(points, &header);
+  if (good) {
+    write_header(&points->columns, &header);
   }
   cli_csv_record_free(&header);
   return good;

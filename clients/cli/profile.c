@@ -428,12 +428,6 @@ int cli_profile_take(const cli_settings *settings, dipole_client *client, cli_pr
   return take_media(settings, client, count, profile);
 }
 
-/* Returns whether an id is that of one quantity. Sums of several quantities have no values of their
- * own. */
-static bool is_one_bit(unsigned id) {
-  return id != 0 && (id & (id - 1)) == 0;
-}
-
 bool cli_quantities_take(const dipole_info *info, const cli_texts *names, unsigned usual,
                          unsigned single, cli_quantities *quantities) {
   const dipole_choice *quantity;
@@ -452,7 +446,9 @@ bool cli_quantities_take(const dipole_info *info, const cli_texts *names, unsign
   }
   for (size_t from = 0; quantities->count < CLI_QUANTITIES_MAX &&
                         (quantity = cli_next_choice(info, DIPOLE_QUANTITY, &from)) != NULL;) {
-    if (is_one_bit(quantity->id) && (quantities->wanted & quantity->id & ~single) != 0) {
+    /* sums of several quantities have no values of their own */
+    if (__builtin_popcount(quantity->id) == 1 &&
+        (quantities->wanted & quantity->id & ~single) != 0) {
       quantities->items[quantities->count++] = quantity;
     }
   }

@@ -184,16 +184,16 @@ static int report_missing(const texture_run *run, const cli_image *in) {
       cli_choice_of_id(dipole_get_info(run->client), DIPOLE_VALUE, run->missing_status);
   const uint64_t pixel = run->first_missing / in->channels;
   const char *const *channels = in->channels == CLI_COLOURS ? cli_colours : grey;
-  cli_say(CLI_BAD_ROWS,
-          "%s: %llu of %llu values are NaN in what was written: no medium has their colour, which "
-          "is from %.6g to %.6g, or their length; the first is %s of column %llu, row %llu: %s: "
-          "allowed: %s",
-          run->settings->operand, (unsigned long long)run->missing,
-          (unsigned long long)(in->width * in->height * in->channels), run->colour_least,
-          run->colour_most, channels[run->first_missing % in->channels],
-          (unsigned long long)(pixel % in->width), (unsigned long long)(pixel / in->width),
-          status != NULL ? status->name : "unknown", status != NULL ? status->about : "others");
-  return CLI_BAD_ROWS;
+  return cli_say(
+      CLI_BAD_ROWS,
+      "%s: %llu of %llu values are NaN in what was written: no medium has their colour, which "
+      "is from %.6g to %.6g, or their length; the first is %s of column %llu, row %llu: %s: "
+      "allowed: %s",
+      run->settings->operand, (unsigned long long)run->missing,
+      (unsigned long long)(in->width * in->height * in->channels), run->colour_least,
+      run->colour_most, channels[run->first_missing % in->channels],
+      (unsigned long long)(pixel % in->width), (unsigned long long)(pixel / in->width),
+      status != NULL ? status->name : "unknown", status != NULL ? status->about : "others");
 }
 
 /* Writes OUT, or with several coefficients OUT with the name of each before the ending, as in

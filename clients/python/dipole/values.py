@@ -512,13 +512,12 @@ class Fits:
             correlation: Array = self.sets["covariance_a_s"] / product
         return correlation
 
-    @property
-    def model_error(self) -> Array:
-        """The relative error of R against radiative transport, at the distances of the readings and
-        between them: of the model, and with detector_na of the share that is detected. It is not
-        part of the standard errors. NaN: not known, as for every other model than
-        transport."""
-        return self._quantity("model_error")
+    model_error = _Quantity(
+        "model_error",
+        "The relative error of R against radiative transport, at the distances of the readings and "
+        "between them: of the model, and with detector_na of the share that is detected. It is not "
+        "part of the standard errors. NaN: not known, as for every other model than transport.",
+    )
 
     factor = _Quantity("factor", 'The factor of all readings; 1 unless the scale is "free".')
     factor_error = _Root(
