@@ -322,13 +322,9 @@ static bool go_on(const struct run *run, uint64_t before,
   return goes_on;
 }
 
-static bool is_done(const struct run *run) {
-  return run->known && !run->sending && run->received == run->query->query_count;
-}
-
 static bool gather(struct run *run, bool (*progress)(void *context, uint64_t done, uint64_t count),
                    void *context, dipole_error *error) {
-  while (!is_done(run)) {
+  while (!run->known || run->sending || run->received != run->query->query_count) {
     bool sent = true;
     while (sent) {
       if (!send_next(run, &sent, error)) {

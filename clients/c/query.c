@@ -117,11 +117,6 @@ void dipole_query_init(dipole_query *query) {
                           .spacing = DIPOLE_LIST};
 }
 
-/* Returns the model as the protocol gives it. */
-static unsigned model_on_wire(unsigned model) {
-  return model == DIPOLE_ANY_MODEL ? EVAL_ANY_MODEL : model;
-}
-
 /* Checks a query and sends it. Sets pending's number of layers and id. */
 static bool send_query(dipole_client *client, const dipole_query *query, libdipole_pending *pending,
                        dipole_error *error) {
@@ -134,7 +129,8 @@ static bool send_query(dipole_client *client, const dipole_query *query, libdipo
     return false;
   }
   pending->layer_count = libdipole_layers(query->layer_count);
-  const wire_eval_request fixed = {.model = (uint16_t)model_on_wire(query->model),
+  const bool any_model = query->model == DIPOLE_ANY_MODEL;
+  const wire_eval_request fixed = {.model = (uint16_t)(any_model ? EVAL_ANY_MODEL : query->model),
                                    .evaluator = (uint16_t)query->evaluator,
                                    .moments = (uint16_t)query->moments,
                                    .wanted = query->wanted,

@@ -655,20 +655,16 @@ static dipole_client *connect_again(dipole_client *client, int64_t until_ms, dip
   return NULL;
 }
 
-/* Returns whether another connection may help after this error. If the daemon was silent, only the
- * connection to another daemon may help. */
-static bool may_be_restored(const dipole_client *client, const dipole_error *error) {
-  return client->retry.for_ms != 0 && client->reopen != NULL &&
-         (!client->stream.silent || client->addresses.count > 1) &&
-         error->kind == DIPOLE_ERROR_CONNECTION && libdipole_is_temporary(error);
-}
-
 /* Connects again after the loss that *error describes, and sends all outstanding requests again.
  * Fails with the reason for the loss. If the time of the call ends first, fails with kind TIMEOUT,
  * and the next call continues. */
 static bool restore(dipole_client *client, dipole_error *error) {
   int64_t until_ms;
-  if (!may_be_restored(client, error) || !can_restore(client, &until_ms)) {
+  /* If the daemon was silent, only the connection to another daemon may help. */
+  if (client->retry.for_ms == 0 || client->reopen == NULL ||
+      (client->stream.silent && client->addresses.count <= 1) ||
+      error->kind != DIPOLE_ERROR_CONNECTION || !libdipole_is_temporary(error) ||
+      !can_restore(client, &until_ms)) {
     return false;
   }
   if (client->retry.pause_ms == 0) { /* The connection has only just been lost. */

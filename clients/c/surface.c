@@ -82,10 +82,6 @@ bool dipole_surface_load(const void *bytes, size_t count, dipole_surface **surfa
   return hand_out(made, surface, error);
 }
 
-static bool is_same(double a, double b) {
-  return a == b || (isnan(a) && isnan(b));
-}
-
 /* Returns whether the surface is for this model, moments, g, eta and parameters. */
 static bool is_of(const dipole_surface *surface, unsigned model, unsigned moments, double g,
                   double eta, const core_parameters *parameters) {
@@ -93,7 +89,8 @@ static bool is_of(const dipole_surface *surface, unsigned model, unsigned moment
   bool same = own->model == model && own->moments == moments && surface->f32.g == g &&
               surface->f32.eta == eta;
   for (unsigned id = 0; id < CORE_PARAMETERS_END; id++) {
-    same = same && is_same(surface->parameters.value[id], parameters->value[id]);
+    const double a = surface->parameters.value[id], b = parameters->value[id];
+    same = same && (a == b || (isnan(a) && isnan(b)));
   }
   return same;
 }

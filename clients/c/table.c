@@ -201,11 +201,8 @@ static bool is_requested(const dipole_table *table, const dipole_table_query *qu
   const dipole_medium *layers;
   const dipole_table_info *info = &table->info;
   bool same = info->layer_count == layers_of(query, &layers);
-  for (uint32_t i = 0; same && i < info->layer_count; i++) {
-    same = info->layers[i].sigma_a_per_mm == layers[i].sigma_a_per_mm &&
-           info->layers[i].sigma_s_per_mm == layers[i].sigma_s_per_mm &&
-           info->layers[i].g == layers[i].g && info->layers[i].eta == layers[i].eta &&
-           info->layers[i].thickness_mm == layers[i].thickness_mm;
+  for (size_t i = 0; same && i < info->layer_count * sizeof *layers / sizeof(double); i++) {
+    same = ((const double *)info->layers)[i] == ((const double *)layers)[i];
   }
   return same && info->model == query->model && info->moments == query->moments &&
          info->parameter_count == query->parameter_count;

@@ -74,12 +74,6 @@ static bool check(const dipole_varying_query *query, dipole_error *error) {
   return true;
 }
 
-static unsigned numbers_of(const dipole_varying_query *query) {
-  return query->radii != NULL     ? VARYING_RADII
-         : query->numbers != NULL ? VARYING_DRAWN
-                                  : VARYING_NONE;
-}
-
 static wire_varying_request request_of(const dipole_varying_query *query) {
   return (wire_varying_request){.model = (uint16_t)query->model,
                                 .evaluator = (uint16_t)query->evaluator,
@@ -89,7 +83,9 @@ static wire_varying_request request_of(const dipole_varying_query *query) {
                                 .given = (uint16_t)query->given,
                                 .light = (uint16_t)query->light,
                                 .specular = query->specular,
-                                .numbers = (uint16_t)numbers_of(query),
+                                .numbers = query->radii != NULL     ? VARYING_RADII
+                                           : query->numbers != NULL ? VARYING_DRAWN
+                                                                    : VARYING_NONE,
                                 .parameter_count = (uint32_t)query->parameter_count,
                                 .value_count = query->value_count,
                                 .g = query->g,

@@ -6,6 +6,7 @@
 #include <string.h>
 
 #include "clients/cli/daemon.h"
+#include "clients/cli/options.h"
 #include "clients/cli/profile.h"
 #include "clients/cli/progress.h"
 #include "clients/cli/rows.h"
@@ -45,7 +46,7 @@ typedef struct report {
   pthread_t thread; /* of any connection but the first */
   cli_profile profile;
   dipole_query query;
-  uint8_t *radii;
+  const uint8_t *radii;
   dipole_result *known; /* the first reply, at all radii */
   uint8_t *values;      /* of its requests under way, which are in `slots` */
   slot *slots;
@@ -208,27 +209,20 @@ static int check(cli_settings *settings) {
 static void make_query(report *of) {
   const uint64_t small = of->settings->radii.value, large = of->settings->large_radii.value;
   const uint64_t count = (small > large ? small : large) + SHIFTS;
-  const bool single = of->profile.evaluator->id != DIPOLE_F64;
   const double step_mm = (RADIUS_MOST_MM - RADIUS_LEAST_MM) / (double)count;
-  of->radii = cli_allocate(count, sizeof(double));
+  const cli_numbers radii_mm = {count, cli_allocate(count, sizeof(double))};
   for (uint64_t i = 0; i < count; i++) {
-    const double r = RADIUS_LEAST_MM + (double)i * step_mm;
-    if (single) {
-      ((float *)of->radii)[i] = (float)r;
-    } else {
-      ((double *)of->radii)[i] = r;
-    }
+    radii_mm.items[i] = RADIUS_LEAST_MM + (double)i * step_mm;
   }
+  of->radii = cli_numbers_in(&radii_mm, of->profile.evaluator->id != DIPOLE_F64);
   of->query = (dipole_query){.model = of->profile.model->id,
                              .evaluator = of->profile.evaluator->id,
-                             .moments = DIPOLE_EXACT,
+                             CLI_QUERY_OF(&of->profile),
                              .wanted = DIPOLE_R,
                              CLI_MEDIA_OF(&of->profile),
                              .spacing = DIPOLE_LIST,
                              .radius_count = count,
-                             .radii = of->radii,
-                             .parameters = of->profile.parameters.items,
-                             .parameter_count = of->profile.parameters.count};
+                             .radii = of->radii};
 }
 
 /* ---- measuring ------------------------------------------------------------------------------- */

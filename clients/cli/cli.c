@@ -51,17 +51,14 @@ bool cli_ends_with(const char *text, const char *ending) {
 
 enum { COLUMNS_USUAL = 80, ROWS_USUAL = 24 };
 
-/* NO_COLOR counts if it is set to any text but the empty one: https://no-color.org. */
-static bool may_be_styled(void) {
-  const char *no_color = getenv("NO_COLOR"), *term = getenv("TERM");
-  return (no_color == NULL || no_color[0] == '\0') && (term == NULL || strcmp(term, "dumb") != 0);
-}
-
 cli_terminal cli_terminal_look(void) {
   struct winsize size = {0};
   cli_terminal terminal = {.columns = COLUMNS_USUAL, .rows = ROWS_USUAL};
   const bool is_terminal = isatty(STDOUT_FILENO) == 1;
-  terminal.styled = is_terminal && may_be_styled();
+  /* NO_COLOR counts if it is set to any text but the empty one: https://no-color.org. */
+  const char *no_color = getenv("NO_COLOR"), *term = getenv("TERM");
+  terminal.styled = is_terminal && (no_color == NULL || no_color[0] == '\0') &&
+                    (term == NULL || strcmp(term, "dumb") != 0);
   if (is_terminal && ioctl(STDOUT_FILENO, TIOCGWINSZ, &size) == 0) {
     terminal.columns = size.ws_col > 0 ? size.ws_col : COLUMNS_USUAL;
     terminal.rows = size.ws_row > 0 ? size.ws_row : ROWS_USUAL;

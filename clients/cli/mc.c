@@ -37,12 +37,10 @@ static const cli_option options[] = {
 };
 
 typedef struct report {
-  const dipole_info *info;
   const cli_profile *profile;
   const char *medium;   /* name of the measured medium; NULL: none, or several */
   const char *channel;  /* the name of the channel */
   const cli_numbers *r; /* radii for `dipole fit`; none: rings are written */
-  cli_parameters parameters;
   dipole_mc_query query;
   dipole_mc_result *result;
 } report;
@@ -108,24 +106,22 @@ static void set_rings(const cli_numbers *r, dipole_mc_query *query) {
 static void make_query(const cli_settings *settings, const cli_profile *profile, size_t channel,
                        report *of) {
   const bool measured = profile->medium != NULL;
-  of->info = profile->info;
   of->profile = profile;
   of->medium = measured && strchr(profile->medium, ',') == NULL ? profile->medium : NULL;
   of->channel = profile->names[channel];
-  of->parameters = profile->parameters;
   of->query = (dipole_mc_query){
       .layers = cli_profile_layers(profile, channel),
       .layer_count = profile->layer_count,
       .albedos = settings->albedo.items,
       .albedo_count = (unsigned)settings->albedo.count,
-      .parameters = of->parameters.items,
-      .parameter_count = of->parameters.count,
+      .parameters = profile->parameters.items,
+      .parameter_count = profile->parameters.count,
       .spacing = settings->log ? DIPOLE_LOGARITHMIC : DIPOLE_LINEAR,
       .ring_count = (uint32_t)settings->rings.value,
       .radius_start_mm = settings->from.value,
       .radius_stop_mm = settings->to.value,
       .seed = settings->seed.value,
-      .photons = photons_of(settings, of->info),
+      .photons = photons_of(settings, profile->info),
       .error_total = settings->total_error.value,
       .error_rings = settings->error.value,
   };
@@ -259,8 +255,8 @@ static void put_quantity(cli_rows *rows, const report *of, uint32_t albedo, size
   cli_put_number(rows, is_ring ? result->edges_mm[ring + 1] : none, "to", .unit = "mm",
                  .missing = "");
   put_value(rows, "value", "error", NULL, is_ring ? value : parts[at].value);
-  cli_put_number(rows, is_ring ? (double)dipole_mc_photons(result, side)[ring] : (double)NAN,
-                 "photons", .format = "%.0f", .missing = "");
+  cli_put_number(rows, is_ring ? (double)dipole_mc_photons(result, side)[ring] : none, "photons",
+                 .format = "%.0f", .missing = "");
 }
 
 /* Writes the medium of a channel and how its photons walked. */
@@ -271,7 +267,7 @@ static void put_walk(cli_rows *rows, const void *context) {
   }
   cli_put_text(rows, of->channel, "channel");
   cli_put_medium(rows, of->query.layers, of->query.layer_count);
-  cli_put_parameters(rows, of->info, &of->parameters);
+  cli_put_parameters(rows, of->profile->info, &of->profile->parameters);
   cli_put_count(rows, of->query.seed, "seed", .forms = CLI_IN_TABLE | CLI_IN_JSON);
   cli_put_count(rows, of->result->last.photons, "photons", .forms = CLI_IN_TABLE);
 }
@@ -330,7 +326,7 @@ static void put_facts(cli_rows *rows, const void *context) {
                                      [DIPOLE_MC_STOPPED] = "stopped"};
   const reports *all = context;
   const report *last = &all->items[all->count - 1];
-  cli_put_text(rows, last->info->software, "software", .forms = CLI_IN_JSON);
+  cli_put_text(rows, last->profile->info->software, "software", .forms = CLI_IN_JSON);
   cli_put_tissue(rows, last->profile);
   cli_put_text(rows, ends[last->result->end], "ended_by", "Monte Carlo, ended by");
   cli_put_count(rows, last->result->last.photons, "photons");

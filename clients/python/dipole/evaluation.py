@@ -302,10 +302,9 @@ def _common_fields(joined: Joined, shape: Shape, info: Info) -> dict[str, Any]:
         arrays[wire.QUANTITIES["r"]] = shape.radii[fixed.first :][: sum(one.count for one in joined.replies)]
     elif fixed.wanted & wire.QUANTITIES["r"] and not shape.drawn:
         arrays[wire.QUANTITIES["r"]] = joined.arrays["r"]
-    if fixed.wanted & wire.QUANTITIES["albedo"]:
-        arrays[wire.QUANTITIES["albedo"]] = joined.heads[0]["albedo"]
-    if fixed.wanted & wire.QUANTITIES["balance"]:
-        arrays[wire.QUANTITIES["balance"]] = joined.heads[0]["balance"]
+    for name in ("albedo", "balance"):
+        if fixed.wanted & wire.QUANTITIES[name]:
+            arrays[wire.QUANTITIES[name]] = joined.heads[0][name]
     errors = joined.heads[0]["errors"].view("<f8").reshape(shape.medium_count, -1, 3)
     quantities = sorted(info.choices["quantity"].values())
     return {

@@ -31,10 +31,6 @@ ALIGNMENT = 8  # bytes: payloads, structures and arrays start at multiples of th
 PING_MAX_BYTES = 1024
 
 
-def _numbered(names: str, first: int = 1) -> dict[int, str]:
-    return dict(enumerate(names.split(), first))
-
-
 STATUS_DEADLINE = 12
 
 # Permanent ids that the layout of a payload depends on.
@@ -58,7 +54,7 @@ ANY_MODEL = 0  # model id: the daemon chooses a model by the parameter tolerance
 
 # States of an mc job. MC_STATES holds the states in which a job has ended.
 MC_UNDER_WAY = 0
-MC_STATES = _numbered("photons errors cancelled stopped")
+MC_STATES = dict(enumerate(("photons", "errors", "cancelled", "stopped"), 1))
 
 _FORMATS = {"u16": "H", "u32": "I", "u64": "Q", "f64": "d", "text": "s"}
 
