@@ -11,6 +11,7 @@
 #include <sys/un.h>
 #include <unistd.h>
 
+#include "core/transport/table.h"
 #include "proto/standard.h"
 #include "server/http/header.h"
 #include "server/http/service.h"
@@ -194,8 +195,9 @@ static bool start_workers(struct daemon *daemon) {
   server->cache = cache_new(server->isa, server->options.cache_bytes, server->options.points_bytes,
                             server->options.max_waiting_profiles, &server->stats);
   server->mc = mc_pool_new(server);
-  if (server->workers == NULL || server->latencies == NULL || server->cache == NULL ||
-      server->mc == NULL) {
+  /* A table that a request could not open would be taken as absent from then on. */
+  if (transport_table_shipped() == NULL || server->workers == NULL || server->latencies == NULL ||
+      server->cache == NULL || server->mc == NULL) {
     return complain("workers", "out of memory");
   }
   const int lacking = cache_start(server->cache);

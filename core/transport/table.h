@@ -154,8 +154,9 @@ void transport_table_close(transport_table *table);
 extern const uint8_t transport_table_data[], transport_table_data_end[];
 #pragma GCC visibility pop
 
-/* Returns the table that is part of the program, or NULL if it is damaged. It is mapped read-only
- * with the program, and all processes share it. Any thread may call this at any time. */
+/* Returns the table that is part of the program, or NULL if it is damaged or the first caller
+ * lacked memory. It is mapped read-only with the program, and all processes share it. Any thread may
+ * call this at any time. */
 const transport_table *transport_table_shipped(void);
 
 /* Returns whether the table covers a medium with this albedo, g and eta: albedos reach to 1, beyond

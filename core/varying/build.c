@@ -503,12 +503,12 @@ static double measure_row(const float *words, const struct grid *grid, const row
 }
 
 /* Returns the largest error in the middle of cells of both axes of albedos, and without absorption;
- * INFINITY if memory runs out. */
+ * -1 if memory runs out. */
 static double measure(const rows *all, const float *words, rows_row *row) {
   static const double middle[1] = {0.5};
   struct grid grid;
   if (!make_grid(words, 1, 1, middle, false, &grid)) {
-    return (double)INFINITY;
+    return -1;
   }
   rows_fill(all, 0, 1, row);
   double worst = measure_row(words, &grid, row, (struct among){0, 0});
@@ -597,8 +597,12 @@ static core_fault build_surface(const core_surface_inputs *inputs, const rows *a
   put_all_colours(all, NULL, *words, &at);
   (*words)[CORE_SURFACE_SCATTERED_LEAST] =
       (float)(rows_w_least(all) * (2 - rows_w_least(all)) * (1 + 0x1p-20));
-  (*words)[CORE_SURFACE_ERROR] =
-      (float)(FOUND_MARGIN * measure(all, *words, row) + rows_error(all));
+  const double worst = measure(all, *words, row);
+  if (worst < 0) {
+    free(*words); /* words of another level would have other digits */
+    return CORE_OUT_OF_MEMORY;
+  }
+  (*words)[CORE_SURFACE_ERROR] = (float)(FOUND_MARGIN * worst + rows_error(all));
   return (core_fault){0};
 }
 

@@ -753,7 +753,8 @@ def test_busy_is_429_with_retry_after(daemon):
 @pytest.mark.skipif(sanitized(), reason="a sanitizer's memory is another")
 @pytest.mark.parametrize("r", [[1] * 300_000, ["x" * 800_000]])
 def test_json_without_memory_is_busy(daemon, r):
-    one = daemon("--http", "127.0.0.1:0", env={"LD_PRELOAD": ""})
+    # Freed memory of this size goes back to the system, so that the room is all that there is.
+    one = daemon("--http", "127.0.0.1:0", env={"LD_PRELOAD": "", "MALLOC_MMAP_THRESHOLD_": "131072"})
     old = resource.prlimit(one.process.pid, resource.RLIMIT_DATA)
     room = one.resident_bytes("VmData") + 2 * 2**20
     resource.prlimit(one.process.pid, resource.RLIMIT_DATA, (room, old[1]))

@@ -21,7 +21,7 @@ import dipole
 import pytest
 from beside import Beside
 from certificates import Authority
-from daemons import Daemon, eventually, read_log_line, sanitized
+from daemons import HANG_S, Daemon, eventually, read_log_line, sanitized
 from dipole import Connection, ConnectionLost, wire
 from frames import EVAL, F32, R, eval_payload, frame, serves, statistics
 from messages import (
@@ -30,7 +30,6 @@ from messages import (
 from modbus_master import AT, Lost, Tcp, input_block, write_read_pdu
 from test_http import BASES, post
 from test_metrics import fetch
-from test_scpi import MED, Raw
 
 
 def assert_all_right(connection: Connection, known: list[Known], order: list[int], last: bool = False) -> None:
@@ -288,8 +287,12 @@ def ask_message(daemon: Daemon, message: str) -> object:
 
 
 def ask_http(daemon: Daemon, message: str) -> object:
-    answer = post(daemon, f"/v1/{message}", **BASES[message])
-    return "busy" if answer.status in (429, 503) else answer.text
+    for name in ("points", message) if message == "gather" else (message,):
+        answer = post(daemon, f"/v1/{name}", **BASES[name])
+        if answer.status in (429, 503):
+            return "busy"
+        assert answer.status == 200, answer.text
+    return answer.text
 
 
 def ask_modbus(daemon: Daemon, unit: int) -> object:
@@ -299,9 +302,10 @@ def ask_modbus(daemon: Daemon, unit: int) -> object:
 
 
 def ask_scpi(daemon: Daemon, query: str) -> object:
-    with Raw(daemon) as raw:
-        raw.send(query, "SYST:ERR?")
-        first = raw.line()  # the error, if the query has no answer
+    host, port = daemon.url("scpi").removeprefix("scpi:").rsplit(":", 1)
+    with socket.create_connection((host, int(port)), HANG_S) as stream, stream.makefile("r") as lines:
+        stream.sendall(f"{query}\nSYST:ERR?\n".encode())
+        first = lines.readline()  # the error, if the query has no answer
     if not first:
         raise Lost
     return "busy" if first.startswith(("-300,", "-321,")) else first
@@ -311,9 +315,9 @@ def ask_scpi(daemon: Daemon, query: str) -> object:
 # seconds; statistics change.
 ASKED: dict[str, tuple[Callable[[Daemon, Any], object], list[Any]]] = {
     "binary": (ask_message, [name for name in SAMPLES if name != "statistics"]),
-    "http": (ask_http, ["eval", "fit"]),
+    "http": (ask_http, list(BASES)),
     "modbus": (ask_modbus, [1, 2]),
-    "scpi": (ask_scpi, [f"{MED};:MOD BETTER;:R? 0.5,1"]),
+    "scpi": (ask_scpi, ["MED 0.05,9.5,0.9,1.4;:MOD BETTER;:R? 0.5,1"]),
 }
 
 
