@@ -513,7 +513,11 @@ def written(message: str, url: str, files: Path) -> list[bytes | str]:
 
 @pytest.mark.parametrize("message", [one for one in COMMANDS if one in PARTED])
 def test_libdipole_puts_parts_together(small, whole, files, message):
-    assert written(message, small.url(), files) == written(message, whole.url(), files)
+    parted, at_once = (written(message, one.url(), files) for one in (small, whole))
+    if message == "gather":  # The errors of its sums are those of the parts (G6).
+        keep = at_once[0].split("\n")[0].split(",").index("bound")
+        parted, at_once = ([row.split(",")[:keep] for row in one[0].split("\n")] for one in (parted, at_once))
+    assert parted == at_once
 
 
 # What a report of a job or a daemon says of itself, which no client can judge.
