@@ -517,8 +517,7 @@ bool cli_sheet_read(const char *path, const char *label, const char *const *name
   cli_csv_record record = {0};
   size_t header_cells = 0;
   enum cli_csv_kind kind = CLI_CSV_COMMENT;
-  *sheet = (cli_sheet){
-      .label = label, .columns = columns, .at = cli_allocate(columns + 1, sizeof *sheet->at)};
+  *sheet = (cli_sheet){.columns = columns, .at = cli_allocate(columns + 1, sizeof *sheet->at)};
   memcpy(all, names, columns * sizeof *all);
   all[columns] = label;
   sheet->at[columns] = CLI_CSV_ABSENT;

@@ -113,7 +113,6 @@ void cli_csv_record_free(cli_csv_record *record);
 
 typedef struct cli_sheet {
   const char *source; /* the file's name, for messages */
-  const char *label;  /* as given to cli_sheet_read() */
   size_t columns;
   size_t *at; /* [columns] positions in the header, or CLI_CSV_ABSENT */
   size_t count, capacity;

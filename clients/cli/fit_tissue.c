@@ -140,9 +140,8 @@ static int take_query(report *of, dipole_client *client) {
 
 /* ---- readings -------------------------------------------------------------------------------- */
 
-static bool check_header(const cli_sheet *sheet, const cli_csv_record *header) {
-  /* whether a line is an image, whose pixels stand for R */
-  const bool images = strcmp(sheet->label, "image") == 0;
+/* images: whether a line is an image, whose pixels stand for R. */
+static bool check_columns(const cli_sheet *sheet, const cli_csv_record *header, bool images) {
   const bool places =
       (sheet->at[RADIUS] == CLI_CSV_ABSENT) != (sheet->at[FREQUENCY] == CLI_CSV_ABSENT);
   const char *missing = sheet->at[WAVELENGTH] == CLI_CSV_ABSENT          ? names[WAVELENGTH]
@@ -172,12 +171,20 @@ static bool check_header(const cli_sheet *sheet, const cli_csv_record *header) {
                    "(degrees), phase_error, modulation, modulation_error");
 }
 
+static bool check_images(const cli_sheet *sheet, const cli_csv_record *header) {
+  return check_columns(sheet, header, true);
+}
+
+static bool check_header(const cli_sheet *sheet, const cli_csv_record *header) {
+  return check_columns(sheet, header, false);
+}
+
 /* Lists the samples, and the rows of each. */
 static int read_samples(report *of) {
   cli_sheet *sheet = &of->sheet;
   const bool maps = of->maps != NULL;
   if (!cli_sheet_read(of->settings->operand, maps ? "image" : "sample", names, COLUMNS,
-                      check_header, sheet)) {
+                      maps ? check_images : check_header, sheet)) {
     return CLI_FAILED;
   }
   of->frequency = sheet->at[FREQUENCY] != CLI_CSV_ABSENT;
