@@ -5,9 +5,11 @@
 #include <jansson.h>
 #include <limits.h>
 #include <math.h>
+#include <setjmp.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/queue.h>
 
 #include "proto/decimal.h"
 #include "proto/gather.h"
@@ -60,13 +62,20 @@ static wire_error check_brackets(const char *bytes, size_t count, size_t bracket
   return wire_error_none();
 }
 
-/* Whether there was no memory: jansson tells some of those faults as wrong JSON. */
-static _Thread_local bool lacks_memory;
-
 /* Memory for the values of a small request, which is not used again before the next one. */
 enum { PAGE_BYTES = 4096, ALIGNMENT = 16 };
 static _Thread_local _Alignas(ALIGNMENT) char page[PAGE_BYTES];
 static _Thread_local size_t page_used;
+
+/* Memory of its own for a value, which is behind this. */
+struct piece {
+  _Alignas(ALIGNMENT) LIST_ENTRY(piece) others;
+};
+
+static _Thread_local LIST_HEAD(pieces, piece) pieces;
+
+/* Where a thread that parses goes on without memory; NULL if none parses. */
+static _Thread_local jmp_buf *no_memory;
 
 static void *allocate(size_t bytes) {
   if (bytes <= PAGE_BYTES - page_used) {
@@ -74,27 +83,56 @@ static void *allocate(size_t bytes) {
     page_used += (bytes + ALIGNMENT - 1) / ALIGNMENT * ALIGNMENT;
     return piece;
   }
-  void *memory = malloc(bytes);
-  lacks_memory |= memory == NULL;
-  return memory;
+  struct piece *piece = malloc(sizeof *piece + bytes);
+  if (piece == NULL && no_memory != NULL) {
+    longjmp(*no_memory, 1);
+  }
+  if (piece == NULL) {
+    return NULL;
+  }
+  LIST_INSERT_HEAD(&pieces, piece, others);
+  return piece + 1;
 }
 
-static void release_piece(void *piece) {
-  if ((uintptr_t)piece - (uintptr_t)page >= PAGE_BYTES) {
+static void release_piece(void *memory) {
+  if ((uintptr_t)memory - (uintptr_t)page >= PAGE_BYTES) {
+    struct piece *piece = (struct piece *)memory - 1;
+    LIST_REMOVE(piece, others);
     free(piece);
   }
+}
+
+/* Calls json_loadb(). Returns false if memory runs out: jansson 2.14 then takes a string for whole of
+ * which it has kept a part, and reads and writes beyond it, so it is left without being told. */
+static bool load_json(const char *bytes, size_t count, json_t **object, json_error_t *why) {
+  jmp_buf out;
+  no_memory = &out;
+  if (setjmp(out) == 0) {
+    *object = json_loadb(bytes, count, JSON_REJECT_DUPLICATES, why);
+    no_memory = NULL;
+    return true;
+  }
+  no_memory = NULL;
+  while (!LIST_EMPTY(&pieces)) {
+    release_piece(LIST_FIRST(&pieces) + 1);
+  }
+  return false;
 }
 
 /* Reads a JSON text: one object without a key that comes twice. The caller releases it by
  * json_decref(). On failure, sets *error and returns NULL. */
 static json_t *parse_json(const char *bytes, size_t count, size_t brackets_max, wire_error *error) {
   json_error_t why;
+  json_t *object;
   char allowed[80];
   *error = check_brackets(bytes, count, brackets_max);
   if (error->status != WIRE_STATUS_OK) {
     return NULL;
   }
-  json_t *object = json_loadb(bytes, count, JSON_REJECT_DUPLICATES, &why);
+  if (!load_json(bytes, count, &object, &why)) {
+    *error = job_busy();
+    return NULL;
+  }
   if (json_is_object(object)) {
     return object;
   }
@@ -102,8 +140,7 @@ static json_t *parse_json(const char *bytes, size_t count, size_t brackets_max, 
   const char *quoted = strstr(why.text, " near ");
   snprintf(allowed, sizeof allowed, "JSON (RFC 8259), which it is not at line %d: %.*s", why.line,
            (int)(quoted != NULL ? quoted - why.text : (ptrdiff_t)strlen(why.text)), why.text);
-  *error =
-      lacks_memory ? job_busy() : bad_value("body", object != NULL ? "a JSON object" : allowed);
+  *error = bad_value("body", object != NULL ? "a JSON object" : allowed);
   json_decref(object);
   return NULL;
 }
@@ -1012,7 +1049,6 @@ wire_error http_request_translate(const schema_message *message, char *text, siz
                                   bool in_query, struct text *payload, size_t bytes_max,
                                   uint32_t *deadline_ms, bool *g_is_default) {
   wire_error error = wire_error_none();
-  lacks_memory = false;
   page_used = 0;
   json_set_alloc_funcs(allocate, release_piece);
   json_t *values = in_query ? parse_query(text, &error)

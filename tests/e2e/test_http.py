@@ -751,13 +751,15 @@ def test_busy_is_429_with_retry_after(daemon):
 
 
 @pytest.mark.skipif(sanitized(), reason="a sanitizer's memory is another")
+@pytest.mark.parametrize("room", [0, 2**21])
 @pytest.mark.parametrize("r", [[1] * 300_000, ["x" * 800_000]])
-def test_json_without_memory_is_busy(daemon, r):
+def test_json_without_memory_is_busy(daemon, r, room):
     # Freed memory of this size goes back to the system, so that the room is all that there is.
     one = daemon("--http", "127.0.0.1:0", env={"LD_PRELOAD": "", "MALLOC_MMAP_THRESHOLD_": "131072"})
+    assert post(one, "/v1/eval", model="better", medium=SKIN, r=[1]).status == 200
     old = resource.prlimit(one.process.pid, resource.RLIMIT_DATA)
-    room = one.resident_bytes("VmData") + 2 * 2**20
-    resource.prlimit(one.process.pid, resource.RLIMIT_DATA, (room, old[1]))
+    limit = one.resident_bytes("VmData") + room
+    resource.prlimit(one.process.pid, resource.RLIMIT_DATA, (limit, old[1]))
     answer = post(one, "/v1/eval", model="better", medium=SKIN, r=r)
     assert (answer.status, answer.json["status"]) == (429, "busy"), answer.text
     resource.prlimit(one.process.pid, resource.RLIMIT_DATA, old)
