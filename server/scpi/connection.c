@@ -138,8 +138,13 @@ static size_t find_room(struct transport *t, uint8_t **room) {
   return *room != NULL ? c->input.capacity - c->input.count : 0;
 }
 
+/* Where the peer's stream ends, so does its last message (END of IEEE 488.2). */
 static void on_received(struct transport *t, ssize_t bytes) {
-  ((struct scpi_connection *)(void *)t)->input.count += bytes > 0 ? (size_t)bytes : 0;
+  struct scpi_connection *c = (struct scpi_connection *)(void *)t;
+  c->input.count += bytes > 0 ? (size_t)bytes : 0;
+  if (t->peer_done && c->input.count > c->begin && c->input.bytes[c->input.count - 1] != '\n') {
+    text_add(&c->input, "\n", 1);
+  }
   worker_run_later(&t->client);
 }
 

@@ -1,6 +1,8 @@
 #include "server/scpi/parse.h"
 
 #include <ctype.h>
+#include <math.h>
+#include <stdlib.h>
 #include <string.h>
 #include <strings.h>
 
@@ -165,13 +167,19 @@ int scpi_next_parameter(struct scpi_unit *unit, struct scpi_parameter *parameter
 }
 
 int scpi_read_decimal(const struct scpi_parameter *parameter, double *value) {
-  char text[64];
+  char text[300], *end; /* 255 digits, which IEEE 488.2 allows, and their exponent */
   if (parameter->kind != SCPI_DECIMAL || parameter->bytes >= sizeof text) {
-    return parameter->kind != SCPI_DECIMAL ? SCPI_BAD_TYPE : SCPI_BAD_DECIMAL;
+    return parameter->kind != SCPI_DECIMAL ? SCPI_BAD_TYPE : SCPI_TOO_MANY_DIGITS;
   }
   memcpy(text, parameter->text, parameter->bytes);
   text[parameter->bytes] = '\0';
-  return decimal_read(text, value) ? 0 : SCPI_BAD_DECIMAL;
+  const char *exponent = strpbrk(text, "eE");
+  if (exponent != NULL && labs(strtol(exponent + 1, NULL, 10)) > 32000) {
+    return SCPI_BIG_EXPONENT;
+  }
+  return decimal_read(text, value)                   ? 0
+         : isinf(strtod(text, &end)) && *end == '\0' ? SCPI_OUT_OF_RANGE
+                                                     : SCPI_BAD_DECIMAL;
 }
 
 /* ---- headers --------------------------------------------------------------------------------- */

@@ -19,6 +19,8 @@ enum {
   E(-109, MISSING, "Missing parameter")                                                            \
   E(-113, UNDEFINED_HEADER, "Undefined header")                                                    \
   E(-121, BAD_DECIMAL, "Invalid character in number")                                              \
+  E(-123, BIG_EXPONENT, "Exponent too large")                                                      \
+  E(-124, TOO_MANY_DIGITS, "Too many digits")                                                      \
   E(-131, BAD_SUFFIX, "Invalid suffix")                                                            \
   E(-151, BAD_STRING, "Invalid string data")                                                       \
   E(-161, BAD_BLOCK, "Invalid block data")                                                         \

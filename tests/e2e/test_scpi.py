@@ -156,6 +156,9 @@ def test_long_and_short_forms(raw):
         ("MED:WAV 850 nm", '-131,"Invalid suffix"'),
         ("R? 1,,2", '-109,"Missing parameter"'),
         ("R? 1.2.3", '-121,"Invalid character in number"'),
+        ("R? 1e400", '-222,"Data out of range"'),
+        ("R? 1e-32001", '-123,"Exponent too large"'),
+        (f"R? {'1' * 300}", '-124,"Too many digits"'),
         ("R? one", '-104,"Data type error"'),
         ('MED:NAME "skin1', '-151,"Invalid string data"'),
         ("R:DATA #2x", '-161,"Invalid block data"'),
@@ -383,6 +386,15 @@ def test_messages_in_one_segment_and_in_pieces(raw):
         raw.socket.sendall(bytes([byte]))
     assert raw.line().startswith("dipoled") and raw.ask("SYST:ERR?") == NO_ERROR
     assert len(raw.numbers("R:DATA?")) == 2
+
+
+def test_the_end_of_the_stream_ends_a_message(shared):
+    """But not within a block, of which the rest is missing."""
+    for last, answers in (("*IDN?;*TST?", 1), ("R:DATA #15ab", 0), ("*IDN?\r", 1), ("*TST?\n", 1)):
+        with Raw(shared) as raw:
+            raw.socket.sendall(f"*TST?\n{last}".encode())
+            raw.socket.shutdown(socket.SHUT_WR)
+            assert len(raw.file.read().splitlines()) == 1 + answers, last
 
 
 def test_a_flood_and_its_answers_in_order(raw):
