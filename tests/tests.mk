@@ -9,8 +9,10 @@ TEST_SUPPORT := $(call objects,$(filter-out $(wildcard tests/*/test_*.c) $(wildc
 # ---- programs ------------------------------------------------------------------------------------
 
 $(TESTS): $(BUILD)/tests/%: $(OBJ)/tests/%.o $(TEST_SUPPORT) $(BUILD)/libdipole.a
-# Memory that nothing can free any more is a failure of the test that lost it.
-$(TESTS): LIBS = -lcmocka $(TLS_LIBS) $(CORE_LIBS) $(TEST_LIBS) $(if $(SANITIZE),,-fsanitize=leak)
+$(TESTS): LIBS = -lcmocka $(TLS_LIBS) $(CORE_LIBS) $(TEST_LIBS) $(LEAKS)
+# Memory that nothing can free any more is a failure of the test that lost it. What solves takes twice
+# as long so: it has the library in its long form alone. Daemons of tests/e2e solve with it, too.
+$(filter $(BUILD)/tests/unit/%,$(TESTS)) $(BUILD)/leaks/dipole: LEAKS = $(if $(SANITIZE),,-fsanitize=leak)
 
 # The daemon's cache, input, histograms and Modbus, tested without a daemon, and a worker with clients
 # of the test's own.
@@ -33,6 +35,12 @@ $(BUILD)/bench: LIBS = $(TLS_LIBS) $(CORE_LIBS)
 # The daemon, and a test can see how often it takes memory from the heap.
 $(BUILD)/dipoled-counting: $(SERVER) $(OBJ)/tests/e2e/count_allocations.o $(BUILD)/libproto.a $(BUILD)/libcore.a
 $(BUILD)/dipoled-counting: LIBS = -Wl,--wrap=malloc,--wrap=calloc,--wrap=realloc $(SERVER_LIBS) $(CORE_LIBS)
+# The command line, with the library that finds lost memory, and its private daemon without it.
+$(BUILD)/leaks/dipole: $(CLI) $(BUILD)/libdipole.a | $(BUILD)/leaks/dipoled
+$(BUILD)/leaks/dipole: LIBS = $(call libs,libpng lcms2 expat jansson) $(TLS_LIBS) $(CORE_LIBS) $(LEAKS)
+$(BUILD)/leaks/dipoled:
+	@mkdir -p $(@D)
+	@ln -sf ../dipoled $@
 $(OBJ)/tests/e2e/count_allocations.o: EXTRA_CPPFLAGS = $(call cflags,libuv)
 
 $(BUILD)/tests/accuracy/truth: $(call objects,$(addprefix tests/accuracy/,truth.c forms.c reference_fresnel.c)) $(ISOTROPIC) $(BUILD)/libcore.a
@@ -47,7 +55,7 @@ $(FUZZ): EXTRA_CPPFLAGS = $(call cflags,libuv libmodbus)
 $(BUILD)/fuzz: $(FUZZ) $(filter-out %/main.o %/cli/complete.o,$(SERVER) $(CLI)) $(BUILD)/libdipole.a
 $(BUILD)/fuzz: LIBS = -fsanitize=fuzzer $(SERVER_LIBS) $(call libs,libpng lcms2 expat jansson) $(CORE_LIBS)
 
-PROGRAMS += $(TESTS) $(addprefix $(BUILD)/,bench dipoled-counting fuzz tests/bits tests/accuracy/truth tests/accuracy/rings)
+PROGRAMS += $(TESTS) $(addprefix $(BUILD)/,bench dipoled-counting leaks/dipole fuzz tests/bits tests/accuracy/truth tests/accuracy/rings)
 
 # Debian's prometheus and promtool, taken out of the package: installing that would start a server.
 # The tests that need them say so if they are not to be had.
@@ -91,10 +99,10 @@ check-types: ## types of the Python module and of the examples in Python
 check-unit: $(TESTS) ## tests in C
 	@UNIT_LIMIT_S=$(UNIT_LIMIT_S) bash tests/run-units.sh $(BUILD)/logs $(TESTS)
 
-# Those that have a long form.
-LONG_TESTS := $(patsubst tests/%.c,$(BUILD)/tests/%,$(shell grep -l unit_is_long tests/*/test_*.c))
+# Those that have a long form, and what looks for lost memory in its long form alone.
+LONG_TESTS := $(patsubst tests/%.c,$(BUILD)/tests/%,$(wildcard tests/accuracy/test_*.c) $(shell grep -l unit_is_long tests/unit/test_*.c))
 check-units-long: $(LONG_TESTS)
-	@UNIT_LONG=yes bash tests/run-units.sh $(BUILD)/logs-nightly $(LONG_TESTS)
+	@UNIT_LONG=yes UNIT_LOADS=$(if $(SANITIZE),,$(shell $(CC) -print-file-name=liblsan.so)) bash tests/run-units.sh $(BUILD)/logs-nightly $(LONG_TESTS)
 
 check-bits: $(BUILD)/tests/bits ## the recorded bits from each instruction set
 	@sh tests/run-bits.sh $(BUILD) native
@@ -111,7 +119,7 @@ check-services: all ## clients and systems of others around the programs
 
 # Those that parts of `make check-ci` and `make check-nightly` run.
 APART := $(SERVICES) $(addprefix tests/e2e/test_,packages.py pipeline.py figures.py plan.py)
-check-e2e: all $(BUILD)/dipoled-counting ## tests of the programs
+check-e2e: all $(addprefix $(BUILD)/,dipoled-counting leaks/dipole) ## tests of the programs
 	$(PYTEST) -n 2 --dist loadfile --durations=20 $(APART:%=--ignore=%) tests/e2e
 
 # Runs the one test of tests/e2e that the variable TEST of the environment names.

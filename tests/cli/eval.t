@@ -453,12 +453,12 @@ $ cut -d, -f1 zero.csv | sort -u | wc -l
 25
 
 ## A model that does not take a parameter is left out, too: no value is without it.
-$ dipole eval --sigma-a 0.032 --sigma-s 0.74 --model all --r 1 --thickness 5 --wanted R --format csv 2>left | grep -v ^transport
+$ dipole eval --sigma-a 0.032 --sigma-s 0.74 --model all --r 1 --thickness 5 --tolerance 0.1 --wanted R --format csv 2>left | grep -v ^transport
 model,channel,sigma_a,sigma_s,g,eta,thickness,r,R,numerical_error,model_error,evaluator,notes
-multipole,1,0.032,0.74,0,1.3,5,1,0.0219609222613236,1.0150846004780116e-12,,f64,
-multipole-transmitted,1,0.032,0.74,0,1.3,5,1,0.0038213727931963493,1.0160017376782523e-12,,f64,
-better-multipole,1,0.032,0.74,0,1.3,5,1,0.015420854928165074,1.0150936660927521e-12,,f64,
-better-multipole-transmitted,1,0.032,0.74,0,1.3,5,1,0.0029864666750548164,1.0160203191188486e-12,,f64,
+multipole,1,0.032,0.74,0,1.3,5,1,0.02194858849201655,0.10000000000001509,,f64,
+multipole-transmitted,1,0.032,0.74,0,1.3,5,1,0.0038209978342304434,0.100000000000016,,f64,
+better-multipole,1,0.032,0.74,0,1.3,5,1,0.015417005063644533,0.1000000000000151,,f64,
+better-multipole-transmitted,1,0.032,0.74,0,1.3,5,1,0.0029863388761399183,0.10000000000001603,,f64,
 
 $ head -n 1 left; wc -l <left
 dipole eval: classical is left out: bad-value: thickness: allowed: 0, a half space, with this model: transport and multipoles take slabs (--thickness)
@@ -541,14 +541,3 @@ $ printf '1.0\n1\n' > a.mci; printf '1.0\n1\na.mco A\n1\n.1 .1\n1 1 1\n9\n1\n' >
 ! dipole eval: a.mci:2: a run is missing: expected the name of its output file
 ! dipole eval: b.mci:8: 9 layers: allowed: 1 to 8
 ! dipole eval: c.mci:9: '1.4 1 10 .8 .1 5': expected n, mua, mus, g and d of a layer, in cm
-
-$ for i in '1 1.4 1.2' '2 2.8 2.4'; do set -- $i; printf "1.0\n1\na.mco A\n1\n.1 .1\n1 2 1\n1\n$1\n$2 1 10 .8 .1\n$3\n" > a.mci; dipole eval --mci a.mci --format csv > $1.csv; done; cmp 1.csv 2.csv; cut -d, -f2,6 1.csv
-quantity,value
-Rsp,0.02777777777777779
-Rd,0.030124724891996274
-Tt,0.7960796873817799
-A,0.1460178099484459
-Rd_r,0.4245541408447479
-Rd_r,0.05098516888107113
-Tt_r,23.84377546637083
-Tt_r,0.173836990502376

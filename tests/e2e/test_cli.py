@@ -9,26 +9,18 @@ comments. RECORD=1 in the environment writes what the commands print into the fi
 import math
 import os
 import re
-import shutil
 from pathlib import Path
 
 import pytest
-from daemons import BUILD, LEAKS, REPOSITORY, environment, finished
+from daemons import BUILD, REPOSITORY, environment, finished
 
 FOLDER = REPOSITORY / "tests/cli"
-GNUPLOT = Path(shutil.which("gnuplot") or "gnuplot")
 NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?")
 
 
 def run(command: str, folder: Path) -> list[str]:
     """Returns what a command prints, as a file has it. Memory that `dipole` loses is an error, too."""
-    programs = folder / ".programs"
-    programs.mkdir(exist_ok=True)
-    for program, loads in {BUILD / "dipole": LEAKS, GNUPLOT: dict.fromkeys(LEAKS, "")}.items():
-        said = " ".join(f"{name}={value}" for name, value in loads.items())
-        (programs / program.name).write_text(f'#!/bin/sh\n{said} exec {program} "$@"\n')
-        (programs / program.name).chmod(0o755)
-    path = f"{programs}:{BUILD}:{os.environ['PATH']}"
+    path = f"{BUILD}/leaks:{BUILD}:{os.environ['PATH']}"
     done = finished("sh", "-c", command, cwd=folder, env=environment(PATH=path, NO_COLOR="1"))
     assert "Sanitizer" not in done.stderr, done.stderr
     lines = done.stdout.splitlines() + [f"! {line}" for line in done.stderr.splitlines()]
