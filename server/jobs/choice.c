@@ -109,11 +109,22 @@ static bool is_known(const core_choose_request *requested, unsigned which, doubl
   return best_of(&one).error <= 1;
 }
 
-/* Writes which coefficient of a medium no error is known for, and up to where one is. */
+/* Whether an error below 1 is known for a medium at one radius. */
+static bool is_known_at(const core_choose_request *requested, size_t medium, double r_mm) {
+  core_choose_request one = *requested;
+  one.media = &requested->media[medium * requested->layer_count];
+  one.media_count = 1;
+  one.radii.least_mm = one.radii.most_mm = r_mm;
+  return best_of(&one).error <= 1;
+}
+
+/* Writes which coefficient of a medium no error is known for, and up to where one is; else from which
+ * radius on. */
 static void describe_cause(const core_choose_request *requested, size_t worst, char *text,
                            size_t bytes) {
   const core_medium *medium = &requested->media[worst * requested->layer_count];
-  const double ratio = medium->sigma_a_per_mm / (medium->sigma_s_per_mm * (1 - medium->g));
+  const double reduced = medium->sigma_s_per_mm * (1 - medium->g);
+  const double ratio = medium->sigma_a_per_mm / reduced;
   const struct {
     const char *name;
     double usual, given;
@@ -130,6 +141,14 @@ static void describe_cause(const core_choose_request *requested, size_t worst, c
                bad > coefficients[i].usual ? "above" : "below", good);
       return;
     }
+  }
+  double near = 1 / (medium->sigma_a_per_mm + reduced), far = requested->radii.most_mm;
+  if (is_known_at(requested, worst, near) && !is_known_at(requested, worst, far)) {
+    for (int halving = 0; halving < 40; halving++) {
+      const double middle = 0.5 * (near + far);
+      *(is_known_at(requested, worst, middle) ? &near : &far) = middle;
+    }
+    snprintf(text, bytes, ": r %.4g mm is above %.3g", requested->radii.most_mm, near);
   }
 }
 
@@ -240,11 +259,17 @@ core_parameters choice_parameters(const struct choice_state *state, const eval_r
   return parameters;
 }
 
+/* Returns the numerical error of a profile, relative. */
+static double stated_error(const eval_request *request, core_radii_range radii,
+                           const core_profile *profile) {
+  const core_stated_errors errors = core_profile_errors(profile, wanted_of(&request->fixed), radii);
+  return errors.numerical +
+         (errors.numerical_per_mm > 0 ? errors.numerical_per_mm * radii.most_mm : 0);
+}
+
 bool choice_keeps(struct choice_state *state, const eval_request *request, core_radii_range radii,
                   const core_profile *profile, const core_medium *medium, uint32_t channel) {
-  const core_stated_errors errors = core_profile_errors(profile, wanted_of(&request->fixed), radii);
-  const double stated = errors.numerical +
-                        (errors.numerical_per_mm > 0 ? errors.numerical_per_mm * radii.most_mm : 0);
+  const double stated = stated_error(request, radii, profile);
   const bool keeps = isnan(state->left) || stated <= state->left;
   if (!keeps && !state->finest) {
     state->finest = true;
@@ -254,8 +279,12 @@ bool choice_keeps(struct choice_state *state, const eval_request *request, core_
   if (!keeps) {
     const double solved = (stated + state->tolerance - state->left) * (1 + 1e-9);
     const double least = fmin(solved, stored_error(request, medium, radii) * (1 + 1e-8));
-    state->worst = least > state->least ? channel : state->worst;
-    state->least = fmax(least, state->least);
+    if (least > state->least) {
+      const core_radii_range near = {radii.least_mm, radii.least_mm};
+      state->worst = channel;
+      state->least = least;
+      state->at_mm = stated_error(request, near, profile) < stated ? radii.most_mm : radii.least_mm;
+    }
   }
   return true;
 }
@@ -264,12 +293,19 @@ wire_error choice_refusal(const struct choice_state *state, const eval_request *
   if (!(state->least > 0)) {
     return wire_error_none();
   }
-  char least[ROUNDED_BYTES], medium[23] = "", allowed[ALLOWED_BYTES];
+  char least[ROUNDED_BYTES], medium[23] = "", radius[24] = "", allowed[ALLOWED_BYTES];
   round_up(least, state->least);
   if (request->fixed.medium_count > 1) {
     snprintf(medium, sizeof medium, " for medium %" PRIu32, state->worst + 1);
   }
-  snprintf(allowed, sizeof allowed, "at least %s%s (transport, solved; else mc)", least, medium);
+  if (request->fixed.radius_count > 1) {
+    snprintf(radius, sizeof radius, " at %.3g mm", state->at_mm);
+  }
+  if (state->least <= 1) {
+    snprintf(allowed, sizeof allowed, "at least %s%s%s (solved; else mc)", least, medium, radius);
+  } else {
+    snprintf(allowed, sizeof allowed, "a model instead: no error known%s%s", medium, radius);
+  }
   wire_error error = wire_error_make(WIRE_STATUS_BAD_VALUE, "tolerance", allowed);
   error.index = state->worst;
   return error;

@@ -16,6 +16,7 @@ struct choice_state {
   bool finest;    /* whether the channel is solved as exactly as the solver can */
   double least;   /* the least tolerance of the channels that miss it; 0 while none does */
   uint32_t worst; /* the channel with this tolerance */
+  double at_mm;   /* the radius that has it: the least or the largest one */
 };
 
 /* Checks the tolerance and the media of a request of model EVAL_ANY_MODEL. */
