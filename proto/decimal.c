@@ -155,9 +155,10 @@ static inline uint64_t eight_digits(uint64_t number) {
 
 /* 17 digits, as many as a shortest decimal has at most, the first of which is not 0. */
 struct text {
-  char digits[24]; /* zeros follow */
-  size_t count;    /* number of digits up to the last one that is not 0 */
-  int exponent;    /* power of ten of the first digit */
+  char first;
+  uint64_t middle, low; /* eight digits each, the first one in the lowest byte */
+  size_t count;         /* number of digits up to the last one that is not 0 */
+  int exponent;         /* power of ten of the first digit */
 };
 
 /* decimal: of a positive integer below 10^17 */
@@ -167,25 +168,29 @@ static inline struct text make_text(struct digits decimal) {
   const uint64_t zeros = UINT64_C(0x3030303030303030);
   int digits = (64 - __builtin_clzll(decimal.integer)) * 1233 >> 12; /* log10(2) = 1233 / 2^12 */
   digits += decimal.integer >= tens[digits];
-  const uint64_t integer = decimal.integer * tens[17 - digits];
-  const uint64_t middle = eight_digits(integer / tens[8] % tens[8]) | zeros;
-  const uint64_t low = eight_digits(integer % tens[8]) | zeros;
-  struct text text = {.exponent = decimal.exponent + digits - 1};
-  text.digits[0] = (char)('0' + integer / tens[16]);
-  memcpy(text.digits + 1, &middle, sizeof middle);
-  memcpy(text.digits + 9, &low, sizeof low);
-  memcpy(text.digits + 17, &zeros, 7);
-  text.count = low != zeros      ? 17 - (size_t)__builtin_clzll(low ^ zeros) / 8
-               : middle != zeros ? 9 - (size_t)__builtin_clzll(middle ^ zeros) / 8
-                                 : 1;
-  return text;
+  const uint64_t integer = decimal.integer * tens[17 - digits], high = integer / tens[8];
+  const uint64_t middle = eight_digits(high % tens[8]), low = eight_digits(integer % tens[8]);
+  return (struct text){.first = (char)('0' + high / tens[8]),
+                       .middle = middle | zeros,
+                       .low = low | zeros,
+                       .count = low != 0      ? 17 - (size_t)__builtin_clzll(low) / 8
+                                : middle != 0 ? 9 - (size_t)__builtin_clzll(middle) / 8
+                                              : 1,
+                       .exponent = decimal.exponent + digits - 1};
+}
+
+static inline void put_all_digits(const struct text *from, char *text) {
+  text[0] = from->first;
+  memcpy(text + 1, &from->middle, sizeof from->middle);
+  memcpy(text + 9, &from->low, sizeof from->low);
 }
 
 /* Writes the digits with a point behind the first `whole` of them, 1 to 16, if there are more.
  * Returns the length. */
 static inline size_t put_digits(const struct text *from, size_t whole, char *text) {
-  memcpy(text + 1, from->digits, 17);
-  memmove(text, text + 1, whole);
+  put_all_digits(from, text + 1);
+  text[0] = from->first;
+  memmove(text + 1, text + 2, whole - 1);
   text[whole] = from->count > whole ? '.' : '0';
   return from->count > whole ? from->count + 1 : whole;
 }
@@ -198,7 +203,7 @@ static inline size_t write_decimal(struct digits decimal, char *text) {
   /* 0.00d and d.e-3 have the same length, as have 0.000dd and d.de-4. */
   if (exponent < 0 && exponent >= -2 - several) {
     memcpy(text, "0.0000", 6);
-    memcpy(text + 1 - exponent, made.digits, 17);
+    put_all_digits(&made, text + 1 - exponent);
     return made.count + 1 + (size_t)-exponent;
   }
   /* A point among the digits takes less than an exponent. Zeros behind them may take more. */
