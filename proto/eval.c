@@ -77,8 +77,8 @@ bool eval_reply_layout(unsigned evaluator, unsigned wanted, uint32_t channel_cou
                           .radius_offset = all.parts[RADII].at,
                           .balances_offset = all.parts[BALANCES].at,
                           .errors_offset = all.parts[ERRORS].at,
-                          .errors_per_channel = (unsigned)__builtin_popcount(fixed.wanted),
-                          .arrays_per_channel = (unsigned)__builtin_popcount(arrays_of(wanted)),
+                          .errors_per_channel = schema_bit_count(fixed.wanted),
+                          .arrays_per_channel = schema_bit_count(arrays_of(wanted)),
                           .arrays_offset = all.parts[ARRAYS].at};
   layout->array_bytes =
       all.payload_bytes > layout->radius_offset ? all.parts[ARRAYS].array_bytes : 0;
@@ -95,7 +95,7 @@ uint64_t eval_part_radii(unsigned evaluator, unsigned wanted, uint32_t channel_c
 
 uint64_t eval_array_offset(const eval_layout *layout, unsigned wanted, uint32_t channel,
                            enum core_quantity quantity) {
-  const unsigned before = (unsigned)__builtin_popcount(arrays_of(wanted) & (quantity - 1U));
+  const unsigned before = schema_bit_count(arrays_of(wanted) & (quantity - 1U));
   return layout->arrays_offset +
          ((uint64_t)channel * layout->arrays_per_channel + before) * layout->array_bytes;
 }
@@ -106,7 +106,7 @@ uint64_t eval_albedo_offset(uint32_t channel) {
 
 uint64_t eval_error_offset(const eval_layout *layout, unsigned wanted, uint32_t channel,
                            unsigned quantity) {
-  const uint64_t before = (unsigned)__builtin_popcount(wanted & (quantity - 1));
+  const uint64_t before = schema_bit_count(wanted & (quantity - 1));
   return layout->errors_offset +
          ((uint64_t)channel * layout->errors_per_channel + before) * WIRE_BYTES_quantity_error;
 }

@@ -88,6 +88,11 @@ static bool is_mirrored(unsigned address) {
   return !is_mirror(address) && mirror < REGISTERS_END && block_at[mirror] > 0;
 }
 
+/* Returns whether a request, which is shorter than the distance of a mirror, has registers of none. */
+static bool is_plain(unsigned address, unsigned count) {
+  return !is_mirror(address) && !is_mirror(address + count - 1);
+}
+
 /* Returns where the image has a register, or that of a mirror, which swaps the words of values of two. */
 static unsigned image_index(unsigned address) {
   if (!is_mirror(address)) {
@@ -156,12 +161,16 @@ unsigned registers_of_error(const registers_job *job, wire_error *error) {
 
 /* ---- values ---------------------------------------------------------------------------------- */
 
+static uint16_t swapped(uint16_t word) {
+  return (uint16_t)(word << 8 | word >> 8);
+}
+
 void registers_read(const uint16_t image[REGISTERS_END], unsigned address, unsigned count,
                     uint8_t *values) {
-  for (unsigned i = 0; i < count; i++) {
-    const uint16_t word = image[image_index(address + i)];
-    values[2 * i] = (uint8_t)(word >> 8);
-    values[2 * i + 1] = (uint8_t)word;
+  const bool plain = is_plain(address, count);
+  for (size_t i = 0; i < count; i++) {
+    const uint16_t word = swapped(image[plain ? address + i : image_index(address + (unsigned)i)]);
+    memcpy(values + 2 * i, &word, sizeof word);
   }
 }
 
@@ -217,8 +226,10 @@ double registers_optional(const uint16_t image[REGISTERS_END], unsigned address)
 /* ---- writing --------------------------------------------------------------------------------- */
 
 /* Returns register number `index` of a PDU's values. */
-static uint16_t word_at(const uint8_t *values, unsigned index) {
-  return (uint16_t)(values[2 * index] << 8 | values[2 * index + 1]);
+static uint16_t word_at(const uint8_t *values, size_t index) {
+  uint16_t word;
+  memcpy(&word, values + 2 * index, sizeof word);
+  return swapped(word); /* on machines whose lowest byte is the first (proto/wire.c) */
 }
 
 static bool is_in_range(const registers_field *field, double value) {
@@ -352,8 +363,9 @@ static void set_defaults(uint16_t image[REGISTERS_END]) {
 
 static void put_words(uint16_t image[REGISTERS_END], unsigned address, unsigned count,
                       const uint8_t *values) {
-  for (unsigned i = 0; i < count; i++) {
-    image[image_index(address + i)] = word_at(values, i);
+  const bool plain = is_plain(address, count);
+  for (size_t i = 0; i < count; i++) {
+    image[plain ? address + i : image_index(address + (unsigned)i)] = word_at(values, i);
   }
 }
 
@@ -400,10 +412,6 @@ void registers_clear(uint16_t image[REGISTERS_END], const registers_job *job) {
       set_initial(image, field);
     }
   }
-}
-
-static uint16_t swapped(uint16_t word) {
-  return (uint16_t)(word << 8 | word >> 8);
 }
 
 static void set_self_tests(uint16_t image[REGISTERS_END]) {

@@ -279,7 +279,7 @@ static wire_error check_fields(const schema_payload *payload, const uint8_t *byt
 static inline uint64_t number_of(const schema_number *number, const uint8_t *start) {
   uint64_t value = 0;
   memcpy(&value, start + number->offset, number->bytes);
-  return number->mask != 0 ? (uint64_t)__builtin_popcountll(value & number->mask) : value;
+  return number->mask != 0 ? schema_bit_count(value & number->mask) : value;
 }
 
 /* Returns `value` times all numbers, or UINT64_MAX in place of wrapping around. */

@@ -83,6 +83,15 @@ const char *schema_kind_name(enum schema_kind kind);
 /* Returns the sum of all entries of a list. */
 unsigned schema_all_bits(const core_choice *list);
 
+/* Returns how many bits are set. They are few, so that this is faster than libgcc's function. */
+static inline unsigned schema_bit_count(uint64_t bits) {
+  unsigned count = 0;
+  for (; bits != 0; bits &= bits - 1) {
+    count++;
+  }
+  return count;
+}
+
 /* Returns whether a field names content by its hash, two numbers; in JSON it is one text. */
 static inline bool schema_is_name(const schema_field *field) {
   return field->kind == SCHEMA_u64 && field->count == 2;

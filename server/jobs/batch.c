@@ -225,7 +225,7 @@ static void put_listed(struct repeat_entry *entry, const uint8_t *radii, core_ra
     batch_put_errors(&channel->profile.slot->profile,
                      channel->compared ? &channel->ruler.slot->profile : NULL, entry->wanted, range,
                      &requested, at);
-    at += (size_t)__builtin_popcount(entry->wanted) * WIRE_BYTES_quantity_error;
+    at += schema_bit_count(entry->wanted) * WIRE_BYTES_quantity_error;
   }
   keep_head(entry, radii, reply);
 }

@@ -14,42 +14,38 @@ static unsigned word(const uint8_t *at) {
 /* The lengths of the PDUs of each function. The list has functions that the daemon does not serve,
  * because other devices on a serial line may use them. */
 static const struct function {
-  uint8_t number;
   uint8_t request;        /* length of a request, without the values that it counts */
   uint8_t request_values; /* position of the byte that counts the bytes of values, or 0 */
   uint8_t reply; /* length of a reply, without the values that it counts; 0: it is not known */
   uint8_t reply_values;
   unsigned roles; /* roles that a master needs; 0: the daemon does not serve it */
 } functions[] = {
-    {MODBUS_FC_READ_COILS, 5, 0, 2, 1, ROLE_READ},
-    {MODBUS_FC_READ_DISCRETE_INPUTS, 5, 0, 2, 1, ROLE_READ},
-    {MODBUS_FC_READ_HOLDING_REGISTERS, 5, 0, 2, 1, ROLE_READ},
-    {MODBUS_FC_READ_INPUT_REGISTERS, 5, 0, 2, 1, ROLE_READ},
-    {MODBUS_FC_WRITE_SINGLE_COIL, 5, 0, 5, 0, ROLE_WRITE},
-    {MODBUS_FC_WRITE_SINGLE_REGISTER, 5, 0, 5, 0, ROLE_WRITE},
-    {MODBUS_FC_READ_EXCEPTION_STATUS, 1, 0, 2, 0, 0},
-    {MODBUS_FC_DIAGNOSTICS, 5, 0, 5, 0, 0},
-    {0x0b, 1, 0, 5, 0, 0}, /* get comm event counter */
-    {0x0c, 1, 0, 2, 1, 0}, /* get comm event log */
-    {MODBUS_FC_WRITE_MULTIPLE_COILS, 6, 5, 5, 0, ROLE_WRITE},
-    {MODBUS_FC_WRITE_MULTIPLE_REGISTERS, 6, 5, 5, 0, ROLE_WRITE},
-    {MODBUS_FC_REPORT_SLAVE_ID, 1, 0, 2, 1, ROLE_READ},
-    {0x14, 2, 1, 2, 1, 0}, /* read file record */
-    {0x15, 2, 1, 2, 1, 0}, /* write file record */
-    {MODBUS_FC_MASK_WRITE_REGISTER, 7, 0, 7, 0, ROLE_WRITE},
-    {MODBUS_FC_WRITE_AND_READ_REGISTERS, 10, 9, 2, 1, ROLE_READ | ROLE_WRITE},
-    {0x18, 3, 0, 3, 2, 0}, /* read FIFO queue */
-    {MODBUS_FC_READ_DEVICE_ID, 4, 0, 0, 0, ROLE_READ},
+    [MODBUS_FC_READ_COILS] = {5, 0, 2, 1, ROLE_READ},
+    [MODBUS_FC_READ_DISCRETE_INPUTS] = {5, 0, 2, 1, ROLE_READ},
+    [MODBUS_FC_READ_HOLDING_REGISTERS] = {5, 0, 2, 1, ROLE_READ},
+    [MODBUS_FC_READ_INPUT_REGISTERS] = {5, 0, 2, 1, ROLE_READ},
+    [MODBUS_FC_WRITE_SINGLE_COIL] = {5, 0, 5, 0, ROLE_WRITE},
+    [MODBUS_FC_WRITE_SINGLE_REGISTER] = {5, 0, 5, 0, ROLE_WRITE},
+    [MODBUS_FC_READ_EXCEPTION_STATUS] = {1, 0, 2, 0, 0},
+    [MODBUS_FC_DIAGNOSTICS] = {5, 0, 5, 0, 0},
+    [0x0b] = {1, 0, 5, 0, 0}, /* get comm event counter */
+    [0x0c] = {1, 0, 2, 1, 0}, /* get comm event log */
+    [MODBUS_FC_WRITE_MULTIPLE_COILS] = {6, 5, 5, 0, ROLE_WRITE},
+    [MODBUS_FC_WRITE_MULTIPLE_REGISTERS] = {6, 5, 5, 0, ROLE_WRITE},
+    [MODBUS_FC_REPORT_SLAVE_ID] = {1, 0, 2, 1, ROLE_READ},
+    [0x14] = {2, 1, 2, 1, 0}, /* read file record */
+    [0x15] = {2, 1, 2, 1, 0}, /* write file record */
+    [MODBUS_FC_MASK_WRITE_REGISTER] = {7, 0, 7, 0, ROLE_WRITE},
+    [MODBUS_FC_WRITE_AND_READ_REGISTERS] = {10, 9, 2, 1, ROLE_READ | ROLE_WRITE},
+    [0x18] = {3, 0, 3, 2, 0}, /* read FIFO queue */
+    [MODBUS_FC_READ_DEVICE_ID] = {4, 0, 0, 0, ROLE_READ},
 };
 
 /* Finds a function by its number. Returns NULL if it is unknown. */
 static const struct function *find_function(unsigned number) {
-  for (size_t i = 0; i < sizeof functions / sizeof functions[0]; i++) {
-    if (functions[i].number == number) {
-      return &functions[i];
-    }
-  }
-  return NULL;
+  const bool known =
+      number < sizeof functions / sizeof functions[0] && functions[number].request > 0;
+  return known ? &functions[number] : NULL;
 }
 
 /* Returns the length of a PDU of `fixed` bytes and of as many values as the byte at `values` says.
