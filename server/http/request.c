@@ -62,7 +62,8 @@ static wire_error check_brackets(const char *bytes, size_t count, size_t bracket
   return wire_error_none();
 }
 
-/* Memory for the values of a small request, which is not used again before the next one. */
+/* Memory for the values of a small request, which is not used again before the next one. jansson takes
+ * all memory from here, so that a request's values are released together. */
 enum { PAGE_BYTES = 4096, ALIGNMENT = 16 };
 static _Thread_local _Alignas(ALIGNMENT) char page[PAGE_BYTES];
 static _Thread_local size_t page_used;
@@ -113,14 +114,11 @@ static bool load_json(const char *bytes, size_t count, json_t **object, json_err
     return true;
   }
   no_memory = NULL;
-  while (!LIST_EMPTY(&pieces)) {
-    release_piece(LIST_FIRST(&pieces) + 1);
-  }
   return false;
 }
 
-/* Reads a JSON text: one object without a key that comes twice. The caller releases it by
- * json_decref(). On failure, sets *error and returns NULL. */
+/* Reads a JSON text: one object without a key that comes twice. On failure, sets *error and returns
+ * NULL. */
 static json_t *parse_json(const char *bytes, size_t count, size_t brackets_max, wire_error *error) {
   json_error_t why;
   json_t *object;
@@ -141,7 +139,6 @@ static json_t *parse_json(const char *bytes, size_t count, size_t brackets_max, 
   snprintf(allowed, sizeof allowed, "JSON (RFC 8259), which it is not at line %d: %.*s", why.line,
            (int)(quoted != NULL ? quoted - why.text : (ptrdiff_t)strlen(why.text)), why.text);
   *error = bad_value("body", object != NULL ? "a JSON object" : allowed);
-  json_decref(object);
   return NULL;
 }
 
@@ -183,10 +180,9 @@ static json_t *make_value(const char *text, size_t count) {
     return json_string_nocheck(text);
   }
   json_t *list = json_array();
-  for (bool good = true; good && count > 0; count--, text += strlen(text) + 1) {
-    good = json_array_append_new(list, json_string_nocheck(text)) == 0;
-    if (!good) {
-      json_decref(list);
+  for (size_t bytes; count > 0; count--, text += bytes + 1) {
+    bytes = strlen(text);
+    if (json_array_append_new(list, json_stringn_nocheck(text, bytes)) != 0) {
       return NULL;
     }
   }
@@ -206,12 +202,14 @@ static wire_error add_pair(json_t *object, char *pair) {
   if (name_count > 1) {
     return bad_value("query", "names without commas");
   }
-  if (json_object_get(object, pair) != NULL) {
-    return bad_value("query",
-                     "each name once: a list has commas, as in r=0.5,1,2; layers need POST");
+  const size_t pairs = json_object_size(object);
+  if (json_object_set_new_nocheck(object, pair, make_value(text, count)) != 0) {
+    return job_busy();
   }
-  return json_object_set_new_nocheck(object, pair, make_value(text, count)) == 0 ? wire_error_none()
-                                                                                 : job_busy();
+  return json_object_size(object) > pairs
+             ? wire_error_none()
+             : bad_value("query",
+                         "each name once: a list has commas, as in r=0.5,1,2; layers need POST");
 }
 
 /* Reads what follows the "?" of a URI, likewise: NAME=VALUE with & between them, where commas separate
@@ -224,11 +222,7 @@ static json_t *parse_query(char *query, wire_error *error) {
       *error = add_pair(object, pair);
     }
   }
-  if (error->status != WIRE_STATUS_OK) {
-    json_decref(object);
-    return NULL;
-  }
-  return object;
+  return error->status == WIRE_STATUS_OK ? object : NULL;
 }
 
 /* ---- reading --------------------------------------------------------------------------------- */
@@ -648,10 +642,9 @@ static bool add_parameters(struct translation *t) {
 /* Returns the list that another field can replace by a rule, if this field says so or counts it; NULL
  * if there is none. */
 static const schema_part *ruled_list(const schema_message *message, const char *field) {
-  const char *name;
-  const schema_part *part;
-  for (unsigned i = 0; (part = http_request_list(message->request, i, &name)) != NULL; i++) {
-    if (part->form == SCHEMA_GIVEN && part->when.name != NULL &&
+  for (const schema_part *part = message->request->parts; part->name != NULL; part++) {
+    if (part->about != NULL && part->kind != SCHEMA_LIST && part->form == SCHEMA_GIVEN &&
+        part->when.name != NULL &&
         (is_same(part->when.name, field) || is_same(part->count[0].name, field))) {
       return part;
     }
@@ -1063,6 +1056,8 @@ wire_error http_request_translate(const schema_message *message, char *text, siz
     error = t.error;
   }
   *g_is_default = t.g_is_default;
-  json_decref(values);
+  while (!LIST_EMPTY(&pieces)) {
+    release_piece(LIST_FIRST(&pieces) + 1);
+  }
   return error;
 }

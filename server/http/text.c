@@ -52,18 +52,14 @@ static void end_value(struct text *text, const char *at) {
 void http_text_begin(struct text *text, const char *key, char bracket) {
   char *at = start_value(text, key, 1);
   if (at != NULL) {
-    *at++ = bracket;
-    end_value(text, at);
+    *at = bracket;
+    end_value(text, at + 1);
   }
   text->filled = false;
 }
 
 void http_text_end(struct text *text, char bracket) {
-  char *at = text_room(text, 1);
-  if (at != NULL) {
-    *at++ = bracket;
-    end_value(text, at);
-  }
+  text_add(text, &bracket, 1);
   text->filled = true;
 }
 
