@@ -174,7 +174,7 @@ demo: ## measured skin, two models, a table and two pictures
 check: ## all tests that take minutes
 	@sh .ci/install-packages
 	@$(MAKE) --no-print-directory $(JOBS) $(BUILD)/prometheus all check-programs
-	+@bash tests/run-check.sh $(BUILD)/logs structure+types bits e2e+soak,truth,unit
+	+@bash tests/run-check.sh $(BUILD)/logs e2e+structure,types,soak,truth,bits,unit
 
 clean: ## removes what was built
 	rm -rf $(BUILD) build-asan build-tsan build-fuzz build-fuzz-portable

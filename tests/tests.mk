@@ -2,7 +2,7 @@
 
 BENCH := $(call objects,$(wildcard tests/bench/*.c))
 # The longest ones come first, so that no processor waits for them at the end.
-TESTS := $(addprefix $(BUILD)/tests/,accuracy/test_transport_g accuracy/test_anisotropic unit/test_kernels accuracy/test_montecarlo accuracy/test_models)
+TESTS := $(addprefix $(BUILD)/tests/accuracy/test_,layers fit paths fit_layers montecarlo lut transport_g derivative)
 TESTS += $(filter-out $(TESTS),$(patsubst tests/%.c,$(BUILD)/tests/%,$(wildcard tests/accuracy/test_*.c tests/unit/test_*.c)))
 TEST_SUPPORT := $(call objects,$(filter-out $(wildcard tests/*/test_*.c) $(wildcard tests/accuracy/rings.c tests/accuracy/truth.c tests/bench/*.c tests/bits/*.c tests/e2e/*.c tests/fuzz/*.c),$(wildcard tests/*/*.c))) $(ISOTROPIC)
 

@@ -663,10 +663,11 @@ OTHER = {
     "reference": Medium(0.013, 1.7, 0.2, 1.4), "grid": Grid(0.6, 4.7, 5), "u": [0.55, 0.66],
 }  # fmt: skip
 AT, VALUES, ERRORS = [1.11, 2.22], [0.0333, 0.00444], [0.000555, 0.0000666]
+NO_ERRORS = [0, 0]  # are refused before anything is solved
 # Calls: arguments, which others are left out, and numbers in the order in which a request has them.
 REQUESTS = {
     "fit": (("better", AT, VALUES, ERRORS), {"eta": 1.4}, [], ["g", "eta", "thickness", "source", "detector"]),
-    "fit_layers": ((dipole.Stack(Medium(0.1, 2, 0, 1.4, 1), Medium(0.2, 3)), ["sigma_a_1"], AT, VALUES, ERRORS), {}, [], []),
+    "fit_layers": ((dipole.Stack(Medium(0.1, 2, 0, 1.4, 1), Medium(0.2, 3)), ["sigma_a_1"], AT, VALUES, NO_ERRORS), {}, [], []),
     "fit_tissue": ((["hb_uM"], [650.5], AT, [VALUES], [ERRORS]), {}, [], ["source", "detector", "mhz"]),
     "mc": ((Medium(0.1, 2), Grid(0.3, 5.2, 3)), {"photons": 100}, ["progress"], ["error_total", "error_rings"]),
     "invert": (("better", 0.44, 1.3), {}, [], ["g", "eta"]),

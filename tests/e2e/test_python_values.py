@@ -194,7 +194,7 @@ def test_an_inversion_of_a_texture(client):
 @pytest.mark.parametrize("light", ["beam", "diffuse"])
 @pytest.mark.parametrize("specular", [False, True])
 def test_an_inversion_means_what_varying_means(client, light, specular):
-    colours, lengths = np.array([0.3, 0.5, 0.9]), np.array([1.0, 0.5, 0.25])
+    colours, lengths = np.array([0.3, 0.9]), np.array([1.0, 0.25])
     asked = {"given": "extinction-path", "light": light, "specular": specular, "g": 0.9, "eta": 1.5}
     found = client.invert("transport", colours, lengths, **asked)
     other = client.varying("transport", colour=colours, length=lengths, evaluator="f64", **asked)
