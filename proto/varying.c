@@ -26,7 +26,7 @@ static wire_error check_wanted(const wire_varying_request *fixed) {
   if ((fixed->wanted & ~most) != 0) {
     return wire_error_make(WIRE_STATUS_BAD_VALUE, "wanted",
                            "R, albedo, cdf, pdf, 2_pi_r_R, model_error of radii; "
-                           "r besides of numbers u; else albedo");
+                           "with u r too; else albedo");
   }
   return (fixed->wanted & ~CORE_QUANTITY_MODEL_ERROR) == 0 && fixed->coefficients == 0
              ? wire_error_make(WIRE_STATUS_BAD_VALUE, "wanted",

@@ -494,6 +494,7 @@ static void reset_line(struct modbus_line *line) {
 /* ---- starting, losing, stopping -------------------------------------------------------------- */
 
 static void note_closed(struct modbus_line *line) {
+  assert(line->open_handles > 0);
   if (--line->open_handles == 0) {
     worker_forget(&line->client);
     modbus_units_leave(line->units, &line->client);

@@ -329,5 +329,6 @@ void peer_check_each(dipole_client *client, uint64_t count) {
   }
   assert_false(dipole_collect(client, &id, &result, &error));
   assert_int_equal(error.kind, DIPOLE_ERROR_ARGUMENT);
+  assert_string_equal(error.text, "no query is outstanding");
   free(ids);
 }

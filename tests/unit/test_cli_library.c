@@ -208,67 +208,85 @@ UNIT_TEST(test_lies_are_noticed) {
 
 /* ---- arguments ----------------------------------------------------------------------------- */
 
-/* A query of which one field is another is not sent. call: has it as `wrong`. */
-#define REFUSED(type, call, right, field, value)                                                   \
+/* A query of which one field is another is not sent, and the error says why. call: has it as
+ * `wrong`. */
+#define REFUSED(right, call, field, value, why)                                                    \
   do {                                                                                             \
-    type wrong = (right);                                                                          \
+    __typeof__(right) wrong = (right);                                                             \
     wrong.field = (value);                                                                         \
-    error.kind = DIPOLE_ERROR_NONE;                                                                \
-    if ((call) || error.kind != DIPOLE_ERROR_ARGUMENT) {                                           \
-      fail_msg("%s = %s was sent", #field, #value);                                                \
+    error = (dipole_error){0};                                                                     \
+    if ((call) || error.kind != DIPOLE_ERROR_ARGUMENT || strcmp(error.text, why) != 0) {           \
+      fail_msg("%s = %s: %s", #field, #value, error.text);                                         \
     }                                                                                              \
   } while (false)
 
+#define NO_MODEL                                                                                   \
+  "model is 0, which is what dipole_id() returns for a name that the daemon does not have"
+#define IDS "model, moments and other ids are at most 65535"
+#define NO_PARAMETERS "parameters is NULL although parameter_count is not 0"
+#define NO_MEDIA "media is NULL although medium_count is not 0"
+#define NOT_ALL "into_values and into_radii are needed for all that is wanted, or for none of it"
+#define NO_LIST "radii or numbers is NULL although their count is not 0"
+
 UNIT_TEST(test_arguments) {
   dipole_error error;
+  dipole_query plain = simple_query;
   dipole_result *result;
   dipole_client *client = peer_begin(peer_serve, NULL);
   static const dipole_parameter beyond = {65536 + CORE_PARAMETER_COS_IN, 0.5};
   const dipole_parameter misspelt = {dipole_id(client, DIPOLE_PARAMETER, "tolerence"), 0.01};
-#define EVAL(field, value)                                                                         \
-  REFUSED(dipole_query, dipole_eval(client, &wrong, &result, &error), simple_query, field, value)
-  EVAL(media, NULL);
-  EVAL(radii, NULL);
-  EVAL(evaluator, 99);
-  EVAL(radius_count, UINT64_MAX);
-  EVAL(model, 65536 + 2);
-  EVAL(spacing, 65536 + DIPOLE_LIST);
-  EVAL(parameter_count, 1);
-  dipole_query given = simple_query;
-  given.parameters = &beyond;
-  REFUSED(dipole_query, dipole_eval(client, &wrong, &result, &error), given, parameter_count, 1);
-  REFUSED(dipole_query, dipole_eval(client, &wrong, &result, &error), given, parameter_count,
-          65536 + 1);
-  given.parameters = &misspelt;
-  REFUSED(dipole_query, dipole_eval(client, &wrong, &result, &error), given, parameter_count, 1);
-  assert_non_null(strstr(error.text, "parameters[0]"));
-  EVAL(model, DIPOLE_ANY_MODEL);
-  assert_non_null(strstr(error.text, "needs the parameter tolerance"));
-#undef EVAL
+#define EVAL(of, field, value, why)                                                                \
+  REFUSED(of, dipole_eval(client, &wrong, &result, &error), field, value, why)
+  EVAL(plain, media, NULL, NO_MEDIA);
+  EVAL(plain, radii, NULL, NO_LIST);
+  EVAL(plain, evaluator, 99,
+       "evaluator is 99: this library knows DIPOLE_F64, DIPOLE_F32 and DIPOLE_LUT");
+  EVAL(plain, radius_count, 1 << 29,
+       "the request takes 4294967424 bytes, more than a frame holds: request fewer radii "
+       "or "
+       "media at a time");
+  EVAL(plain, model, 0, NO_MODEL);
+  EVAL(plain, model, 65536 + 2, IDS);
+  EVAL(plain, spacing, 65536 + DIPOLE_LIST, IDS);
+  EVAL(plain, parameter_count, 1, NO_PARAMETERS);
+  EVAL(plain, into_radii, &result, NOT_ALL);
+  plain.wanted |= DIPOLE_RADIUS;
+  EVAL(plain, into_values, &result, NOT_ALL);
+  plain = simple_query;
+  EVAL(plain, model, DIPOLE_ANY_MODEL, "DIPOLE_ANY_MODEL needs the parameter tolerance");
+  plain.parameters = &beyond;
+  EVAL(plain, parameter_count, 1, "the id of a parameter is at most 65535");
+  EVAL(plain, parameter_count, 65536 + 1, "parameter_count is at most 65535");
+  plain.parameters = &misspelt;
+  EVAL(plain, parameter_count, 1,
+       "the id of parameters[0] is 0, which is what dipole_id() returns for a name that the daemon "
+       "does "
+       "not have");
 
   dipole_table *table;
-  const dipole_table_query fetched = {.model = 2, .moments = DIPOLE_EXACT, .medium = peer_media[0]};
-#define TABLE(field, value)                                                                        \
-  REFUSED(dipole_table_query, dipole_table_fetch(client, &wrong, &table, &error), fetched, field,  \
-          value)
-  TABLE(model, 65536);
-  TABLE(moments, 65536);
-  TABLE(parameter_count, 1);
-#undef TABLE
+  dipole_table_query fetched = {.model = 2, .moments = DIPOLE_EXACT, .medium = peer_media[0]};
+#define TABLE(field, value, why)                                                                   \
+  REFUSED(fetched, dipole_table_fetch(client, &wrong, &table, &error), field, value, why)
+  TABLE(model, 65536, IDS);
+  TABLE(moments, 65536, IDS);
+  TABLE(parameter_count, 1, NO_PARAMETERS);
+  TABLE(medium, (dipole_medium){0},
+        "sigma_a and sigma_s are 0: dipole_surface_fetch() is for all media");
+  dipole_surface *surface;
+  REFUSED(fetched, dipole_surface_fetch(client, &wrong, &surface, &error), layer_count, 1,
+          "sigma_a and sigma_s of a surface's query are 0: it is for all media");
 
   dipole_mc_result *walked;
-  const dipole_mc_query job = {.medium = peer_media[0],
-                               .spacing = DIPOLE_LINEAR,
-                               .ring_count = 2,
-                               .radius_stop_mm = 2,
-                               .photons = 1000};
-#define MC(field, value)                                                                           \
-  REFUSED(dipole_mc_query, dipole_mc(client, &wrong, NULL, NULL, &walked, &error), job, field,     \
-          value)
-  MC(albedo_count, 1);
-  MC(albedo_count, CORE_MC_ALBEDOS_MAX + 1);
-  MC(spacing, 65536);
-#undef MC
+  dipole_mc_query job = {.medium = peer_media[0],
+                         .spacing = DIPOLE_LINEAR,
+                         .ring_count = 2,
+                         .radius_stop_mm = 2,
+                         .photons = 1000};
+#define MC(field, value, why)                                                                      \
+  REFUSED(job, dipole_mc(client, &wrong, NULL, NULL, &walked, &error), field, value, why)
+  MC(albedo_count, 1, "albedos is NULL although albedo_count is not 0");
+  MC(albedo_count, CORE_MC_ALBEDOS_MAX + 1, "albedo_count is at most 16");
+  MC(spacing, 65536, IDS);
 
   dipole_sample_query drawn = {.model = 2,
                                .evaluator = DIPOLE_F64,
@@ -277,32 +295,154 @@ UNIT_TEST(test_arguments) {
                                .media = peer_media,
                                .medium_count = 1,
                                .draw = DIPOLE_DRAW_RANDOM,
+                               .seed = 1,
                                .sample_count = 3};
-#define SAMPLE(field, value)                                                                       \
-  REFUSED(dipole_sample_query, dipole_sample(client, &wrong, &result, &error), drawn, field, value)
-  SAMPLE(media, NULL);
-  SAMPLE(model, 65536);
-  SAMPLE(evaluator, 9);
-  SAMPLE(draw, DIPOLE_DRAW_LIST);
-  drawn.draw = DIPOLE_DRAW_LIST;
-  drawn.numbers = radii;
-  SAMPLE(sample_count, UINT64_MAX);
-#undef SAMPLE
+#define SAMPLE(field, value, why)                                                                  \
+  REFUSED(drawn, dipole_sample(client, &wrong, &result, &error), field, value, why)
+#define NUMBERS(begin, n, field, value, why)                                                       \
+  REFUSED(drawn, dipole_sample_numbers(&wrong, begin, n, numbers, &error), field, value, why)
+  double numbers[3];
+  SAMPLE(media, NULL, NO_MEDIA);
+  SAMPLE(model, 65536, IDS);
+  SAMPLE(evaluator, 9, "evaluator is 9: this library knows DIPOLE_F64, DIPOLE_F32 and DIPOLE_LUT");
+  SAMPLE(draw, DIPOLE_DRAW_LIST, NO_LIST);
+  NUMBERS(0, 3, draw, 9,
+          "draw is 9: numbers are made for DIPOLE_DRAW_REGULAR, DIPOLE_DRAW_STRATIFIED and "
+          "DIPOLE_DRAW_RANDOM");
+  NUMBERS(0, 3, sample_first, UINT64_MAX, "sample_first: allowed: 0 to 2^52");
+  NUMBERS(0, 3, evaluator, 9, "evaluator is 9");
+  NUMBERS(0, 3, draw, DIPOLE_DRAW_REGULAR,
+          "seed: allowed: 0 unless the draw is random or stratified");
+  NUMBERS(3, 1, seed, 2, "there are only 3 numbers");
+  NUMBERS(4, 0, seed, 2, "there are only 3 numbers");
+  NUMBERS(1, SIZE_MAX, seed, 2, "there are only 3 numbers");
+  assert_true(dipole_sample_numbers(&drawn, 3, 0, numbers, &error));
 
   dipole_inversion *inversion;
-  const dipole_invert_query inverted = {.model = 2,
-                                        .moments = DIPOLE_EXACT,
-                                        .eta = 1.4,
-                                        .albedos = radii,
-                                        .lengths_mm = radii,
-                                        .medium_count = 1};
-#define INVERT(field, value)                                                                       \
-  REFUSED(dipole_invert_query, dipole_invert(client, &wrong, &inversion, &error), inverted, field, \
-          value)
-  INVERT(lengths_mm, NULL);
-  INVERT(given, 65536);
-  INVERT(medium_count, UINT64_MAX);
-#undef INVERT
+  dipole_invert_query inverted = {.model = 2,
+                                  .moments = DIPOLE_EXACT,
+                                  .eta = 1.4,
+                                  .albedos = radii,
+                                  .lengths_mm = radii,
+                                  .medium_count = 1};
+#define INVERT(field, value, why)                                                                  \
+  REFUSED(inverted, dipole_invert(client, &wrong, &inversion, &error), field, value, why)
+  INVERT(albedos, NULL, "albedos or lengths_mm is NULL although medium_count is not 0");
+  INVERT(lengths_mm, NULL, "albedos or lengths_mm is NULL although medium_count is not 0");
+  INVERT(given, 65536, IDS);
+  INVERT(medium_count, UINT32_MAX + 1ull, "medium_count is above 4294967295");
+
+  dipole_points *points;
+  float power_W = 1;
+  struct {
+    uint64_t count;
+    uint32_t channels;
+    const double *xyz_mm;
+    const float *power_W;
+  } cloud = {1, 1, radii, &power_W};
+#define POINTS(field, value, why)                                                                  \
+  REFUSED(cloud,                                                                                   \
+          dipole_points_make(wrong.count, wrong.channels, wrong.xyz_mm, wrong.power_W, &points,    \
+                             &error),                                                              \
+          field, value, why)
+  POINTS(count, 0, "point_count is not from 1 to 16777216");
+  POINTS(count, 16777217, "point_count is not from 1 to 16777216");
+  POINTS(channels, 0, "channel_count is not from 1 to 8");
+  POINTS(channels, 9, "channel_count is not from 1 to 8");
+  POINTS(xyz_mm, NULL, "xyz_mm or power_W is NULL");
+  POINTS(power_W, NULL, "xyz_mm or power_W is NULL");
+  assert_null(points);
+  assert_true(dipole_points_make(1, 1, radii, &power_W, &points, &error));
+  dipole_gather_query gathered = {.model = 2,
+                                  .evaluator = DIPOLE_F64,
+                                  .moments = DIPOLE_EXACT,
+                                  .points = points,
+                                  .media = peer_media,
+                                  .queries_mm = radii,
+                                  .query_count = 1};
+#define GATHER(field, value, why)                                                                  \
+  REFUSED(gathered, dipole_gather(client, &wrong, NULL, NULL, numbers, NULL, &error), field,       \
+          value, why)
+  GATHER(points, NULL, "points or media is NULL");
+  GATHER(media, NULL, "points or media is NULL");
+  GATHER(queries_mm, NULL, "queries_mm is NULL although query_count is not 0");
+  GATHER(query_count, UINT64_MAX / 64 + 1, "query_count is more than memory holds");
+  GATHER(moments, 65536, IDS);
+  dipole_points_free(points);
+
+  dipole_fits *fits;
+  dipole_fit_query fitted = {.model = 2,
+                             .reading_count = 3,
+                             .at = radii,
+                             .set_count = 1,
+                             .values = radii,
+                             .errors = radii};
+#define FIT(field, value, why)                                                                     \
+  REFUSED(fitted, dipole_fit(client, &wrong, &fits, &error), field, value, why)
+#define READINGS "at, values or errors is NULL although reading_count and set_count are not 0"
+  FIT(axis, 65536, IDS);
+  FIT(at, NULL, READINGS);
+  FIT(values, NULL, READINGS);
+  FIT(errors, NULL, READINGS);
+  FIT(reading_count, 1025, "reading_count is at most 1024");
+
+  dipole_layers_fit *layers_fit;
+  dipole_layers_query layered = {.layers = peer_media, .layer_count = 1};
+#define LAYERS(field, value)                                                                       \
+  REFUSED(layered, dipole_fit_layers(client, &wrong, &layers_fit, &error), field, value,           \
+          "unknowns or scale is above 65535, layer_count above 8 or reading_count above 1024")
+  LAYERS(unknowns, 65536);
+  LAYERS(scale, 65536);
+  LAYERS(layer_count, CORE_LAYERS_MAX + 1);
+  LAYERS(reading_count, 1025);
+
+  dipole_medium medium;
+  dipole_tissue_query tissue = {.wavelengths_nm = radii, .wavelength_count = 3};
+#define TISSUE(field, value, why)                                                                  \
+  REFUSED(tissue, dipole_tissue(client, &wrong, &medium, &error), field, value, why)
+  TISSUE(haemoglobin, 65536, IDS);
+  TISSUE(wavelengths_nm, NULL, "wavelengths_nm is NULL although wavelength_count is not 0");
+
+  dipole_tissue_fits *tissue_fits;
+  static const dipole_sought sought;
+  dipole_tissue_fit_query spectra = {.tissue = tissue,
+                                     .model = 2,
+                                     .sought = &sought,
+                                     .sought_count = 1,
+                                     .place_count = 1,
+                                     .at = radii,
+                                     .set_count = 1,
+                                     .values = radii,
+                                     .errors = radii};
+#define SPECTRA(field, value)                                                                      \
+  REFUSED(                                                                                         \
+      spectra, dipole_fit_tissue(client, &wrong, &tissue_fits, &error), field, value,              \
+      "sought, wavelengths_nm, at, values or errors is NULL although its count is not 0, or a "    \
+      "set has more than 65535 readings")
+  SPECTRA(sought, NULL);
+  SPECTRA(sought_count, 65536);
+  SPECTRA(at, NULL);
+  SPECTRA(tissue.wavelengths_nm, NULL);
+  SPECTRA(values, NULL);
+  SPECTRA(errors, NULL);
+  SPECTRA(place_count, 65536 / 3 + 1);
+
+  dipole_varying_result *varied;
+  dipole_varying_query varying = {.model = 2,
+                                  .evaluator = DIPOLE_F64,
+                                  .sigma_a_per_mm = radii,
+                                  .sigma_s_per_mm = radii,
+                                  .lengths_mm = radii,
+                                  .radii = radii,
+                                  .value_count = 3};
+#define VARYING(field, value, why)                                                                 \
+  REFUSED(varying, dipole_varying(client, &wrong, &varied, &error), field, value, why)
+  VARYING(wanted, 65536, IDS);
+  VARYING(colours, radii, "both coefficients and colours are given");
+  VARYING(sigma_s_per_mm, NULL,
+          "sigma_a_per_mm and sigma_s_per_mm, or colours and lengths_mm, are NULL although "
+          "value_count is not 0");
+
   check_simple_result(peer_eval(client, &simple_query)); /* The client sent none of the above. */
   peer_finish(client);
   dipole_close(NULL);

@@ -167,23 +167,6 @@ UNIT_TEST(test_parts) {
 
 /* ---- what goes wrong ----------------------------------------------------------------------- */
 
-UNIT_TEST(test_a_place_for_all_or_for_nothing) {
-  dipole_result *result;
-  dipole_error error;
-  dipole_client *client = peer_begin_with(peer_serve, NULL, NULL);
-  question asked = question_of(DIPOLE_F64, all, 5);
-  dipole_query no_values = asked.query, no_radii = asked.query;
-  no_values.into_values = NULL;
-  no_radii.into_radii = NULL;
-  assert_false(dipole_eval(client, &no_values, &result, &error));
-  assert_int_equal(error.kind, DIPOLE_ERROR_ARGUMENT);
-  assert_false(dipole_eval(client, &no_radii, &result, &error));
-  assert_int_equal(error.kind, DIPOLE_ERROR_ARGUMENT);
-  end_question(&asked);
-  ask(client, DIPOLE_F64, all, 5);
-  peer_finish(client);
-}
-
 /* A script that sends the answer except for its last *context bytes. */
 static void hang_up_before_the_end(int fd, void *context) {
   peer_frame request;

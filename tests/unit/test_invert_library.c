@@ -187,27 +187,3 @@ UNIT_TEST(numbers_are_the_cores) {
   core_draw_f32(&draw, 10, SAMPLES - 10, wanted_f32);
   assert_memory_equal(u_f32, wanted_f32, (SAMPLES - 10) * sizeof(float));
 }
-
-static void assert_no_numbers(const dipole_sample_query *query, uint64_t begin, size_t n) {
-  dipole_error error = {0};
-  double u[SAMPLES + 1];
-  assert_false(dipole_sample_numbers(query, begin, n, u, &error));
-  assert_int_equal(error.kind, DIPOLE_ERROR_ARGUMENT);
-  assert_true(strlen(error.text) > 0);
-}
-
-UNIT_TEST(numbers_that_there_are_not_are_an_error) {
-  dipole_sample_query query = sample_query(peer_media);
-  assert_no_numbers(&query, 0, SAMPLES + 1);
-  assert_no_numbers(&query, SAMPLES + 1, 0);
-  assert_no_numbers(&query, UINT64_MAX, 2);
-  query.draw = DIPOLE_DRAW_LIST;
-  assert_no_numbers(&query, 0, 1);
-  query.draw = 77;
-  assert_no_numbers(&query, 0, 1);
-  query.draw = DIPOLE_DRAW_REGULAR; /* This rule has no seed. */
-  assert_no_numbers(&query, 0, 1);
-  query = sample_query(peer_media);
-  query.evaluator = 9;
-  assert_no_numbers(&query, 0, 1);
-}

@@ -200,51 +200,54 @@ UNIT_TEST(what_a_table_does_not_hold_is_refused) {
 
 /* ---- damage -------------------------------------------------------------------------------- */
 
-static void assert_damaged(const made_table *of) {
+static void assert_damaged(const made_table *of, const char *why) {
   dipole_table *table = NULL;
   dipole_surface *surface = NULL;
   dipole_error error = {0};
   assert_false(of->is_surface ? dipole_surface_load(of->bytes, of->count, &surface, &error)
                               : dipole_table_load(of->bytes, of->count, &table, &error));
   assert_int_equal(error.kind, DIPOLE_ERROR_TABLE);
-  assert_string_not_equal(error.text, "");
+  assert_non_null(strstr(error.text, why));
   assert_true(table == NULL && surface == NULL);
 }
 
 /* Checks that other facts in the fixed part and other media are refused. */
 static void assert_facts_are_checked(const made_table *of, size_t count, const core_medium *media) {
+  static const char *const headers[] = {"does not start as one", "does not start as one",
+                                        "does not start as one", "its end is missing"};
   wire_table_reply right, wrong;
+  static const char counts[] = "its counts or its checksum are wrong";
   wire_header header;
   core_medium kept;
   wire_get_table_reply(of->payload, &right);
-#define WITH(field, value)                                                                         \
+#define WITH(field, value, why)                                                                    \
   do {                                                                                             \
     wrong = right;                                                                                 \
     wrong.field = (value);                                                                         \
     wire_put_table_reply(of->payload, &wrong);                                                     \
-    assert_damaged(of);                                                                            \
+    assert_damaged(of, why);                                                                       \
   } while (0)
-  WITH(layout, 1);
-  WITH(word_count, right.word_count - 4);
-  WITH(word_count, 0);
-  WITH(word_count, UINT32_MAX);
-  WITH(parameter_count, right.parameter_count + 1);
-  WITH(parameter_count, 65535);
-  WITH(checksum, right.checksum + 1);
-  WITH(layer_count, 0);
-  WITH(layer_count, 2);
-  WITH(layer_count, UINT32_MAX);
+  WITH(layout, 1, "this table has layout 1, but this library reads layout");
+  WITH(word_count, right.word_count - 4, counts);
+  WITH(word_count, 0, counts);
+  WITH(word_count, UINT32_MAX, counts);
+  WITH(parameter_count, right.parameter_count + 1, counts);
+  WITH(parameter_count, 65535, counts);
+  WITH(checksum, right.checksum + 1, counts);
+  WITH(layer_count, 0, counts);
+  WITH(layer_count, 2, counts);
+  WITH(layer_count, UINT32_MAX, counts);
   if (of->is_surface) {
-    WITH(model, 0);
-    WITH(model, CORE_MODEL_GAUSSIANS);
-    WITH(moments, 9);
+    WITH(model, 0, "its words are not those of its model");
+    WITH(model, CORE_MODEL_GAUSSIANS, "its words are not those of its model");
+    WITH(moments, 9, "its words are not those of its model");
   } else {
-    WITH(reach, (double)NAN);
-    WITH(reach, 0);
-    WITH(reach_growth, -1);
-    WITH(reach_growth, (double)NAN);
-    WITH(pieces_from, 2 * right.pieces_from);
-    WITH(pieces_to, (double)NAN);
+    WITH(reach, (double)NAN, "up to which radius");
+    WITH(reach, 0, "up to which radius");
+    WITH(reach_growth, -1, "up to which radius");
+    WITH(reach_growth, (double)NAN, "up to which radius");
+    WITH(pieces_from, 2 * right.pieces_from, "the radii of its pieces");
+    WITH(pieces_to, (double)NAN, "the radii of its pieces");
   }
 #undef WITH
   wire_put_table_reply(of->payload, &right);
@@ -252,7 +255,9 @@ static void assert_facts_are_checked(const made_table *of, size_t count, const c
   memcpy(&kept, layer, sizeof kept);
   for (size_t i = 0; i < count; i++) {
     memcpy(layer, &media[i], sizeof media[i]);
-    assert_damaged(of);
+    assert_damaged(of, !of->is_surface                ? "its medium or a parameter is not valid"
+                       : media[i].sigma_a_per_mm != 0 ? "it is the table of one medium"
+                                                      : "this is not an intact surface");
   }
   memcpy(layer, &kept, sizeof kept);
   wire_get_header(of->bytes, &header);
@@ -263,7 +268,7 @@ static void assert_facts_are_checked(const made_table *of, size_t count, const c
     other.type = (uint16_t)(other.type + (i == 2));
     other.payload_bytes += i == 3 ? 8 : 0;
     wire_put_header(of->bytes, &other);
-    assert_damaged(of);
+    assert_damaged(of, headers[i]);
   }
   wire_put_header(of->bytes, &header);
 }
@@ -367,12 +372,13 @@ UNIT_TEST(other_answers_are_refused) {
 
 /* ---- queries that are wrong ---------------------------------------------------------------- */
 
-static void assert_refused(const dipole_surface *surface, const dipole_varying_query *query) {
+static void assert_refused(const dipole_surface *surface, const dipole_varying_query *query,
+                           const char *why) {
   dipole_varying_result *result = NULL;
   dipole_error error = {0};
   assert_false(dipole_varying_at_home(surface, query, &result, &error));
   assert_int_equal(error.kind, DIPOLE_ERROR_ARGUMENT);
-  assert_string_not_equal(error.text, "");
+  assert_ptr_equal(strstr(error.text, why), error.text);
   assert_null(result);
 }
 
@@ -398,34 +404,46 @@ UNIT_TEST(queries_of_other_media_are_refused) {
   assert_true(dipole_varying_at_home(surface, &right, &result, NULL));
   assert_int_equal(result->notes, CORE_NOTE_GAMMA);
   dipole_varying_result_free(result);
-#define WITH(field, value)                                                                         \
+#define OTHER "the surface is not that of this query's model, moments, g, eta and parameters"
+#define NO_PAIRS                                                                                   \
+  "sigma_a_per_mm and sigma_s_per_mm, or colours and lengths_mm, are NULL although value_count "   \
+  "is "                                                                                            \
+  "not 0"
+#define WITH(field, value, why)                                                                    \
   do {                                                                                             \
     dipole_varying_query wrong = right;                                                            \
     wrong.field = (value);                                                                         \
-    assert_refused(surface, &wrong);                                                               \
+    assert_refused(surface, &wrong, why);                                                          \
   } while (0)
-  WITH(model, CORE_MODEL_BETTER);
-  WITH(model, 0);
-  WITH(moments, DIPOLE_FIT);
-  WITH(g, 0);
-  WITH(g, (double)NAN);
-  WITH(eta, 1.3);
-  WITH(parameters, finer);
-  WITH(parameters, other);
-  WITH(parameter_count, 0);
-  WITH(parameter_count, 1);
-  WITH(evaluator, DIPOLE_LUT);
-  WITH(wanted, DIPOLE_RADIUS);
-  WITH(wanted, 1u << 14);
-  WITH(coefficients, 8);
-  WITH(sigma_a_per_mm, NULL);
-  WITH(colours, right.sigma_a_per_mm);
-  WITH(given, DIPOLE_MEAN_FREE_PATH);
-  WITH(light, DIPOLE_BEAM);
-  WITH(specular, true);
-  WITH(radii, NULL);
-  WITH(numbers, right.radii);
-  WITH(value_count, UINT64_MAX);
+  WITH(model, CORE_MODEL_BETTER, OTHER);
+  WITH(model, 0, "model is 0, which");
+  WITH(moments, DIPOLE_FIT, OTHER);
+  WITH(g, 0, OTHER);
+  WITH(g, (double)NAN, OTHER);
+  WITH(eta, 1.3, OTHER);
+  WITH(parameters, finer, OTHER);
+  WITH(parameters, other, OTHER);
+  WITH(parameter_count, 0, OTHER);
+  WITH(parameter_count, 1, OTHER);
+  WITH(evaluator, DIPOLE_LUT, "evaluator is neither DIPOLE_F64 nor DIPOLE_F32");
+  WITH(wanted, DIPOLE_RADIUS,
+       "wanted: allowed: R, albedo, cdf, pdf, 2_pi_r_R, model_error of radii; with u r too; else "
+       "albedo");
+  WITH(wanted, 1u << 14,
+       "wanted: allowed: R, albedo, cdf, pdf, 2_pi_r_R, model_error of radii; with u r too; else "
+       "albedo");
+  WITH(coefficients, 8, "coefficients: allowed: a sum of 1 (sigma_a), 2 (sigma_s), 4 (scattered)");
+  WITH(sigma_a_per_mm, NULL, NO_PAIRS);
+  WITH(colours, right.sigma_a_per_mm, NO_PAIRS);
+  WITH(given, DIPOLE_MEAN_FREE_PATH, "given has to be set with colours, and 0 without them");
+  WITH(light, DIPOLE_BEAM, "light: allowed: 0 where");
+  WITH(specular, true, "specular: allowed: 0 where");
+  WITH(radii, NULL,
+       "wanted: allowed: R, albedo, cdf, pdf, 2_pi_r_R, model_error of radii; with u r too; else "
+       "albedo");
+  WITH(numbers, right.radii, "both radii and numbers are given");
+  WITH(value_count, UINT64_MAX,
+       "18446744073709551615 values are more than a frame holds: request fewer at a time");
 #undef WITH
   dipole_surface_free(surface);
   unmake(&of);

@@ -102,6 +102,34 @@ UNIT_TEST(no_wake_up_is_left_to_the_clock) {
   assert_int_equal(client.turns, TURNS);
 }
 
+/* ---- deadlines ------------------------------------------------------------------------------- */
+
+/* Asks to be woken in so many ms, and looks when the worker will wake, without waiting for it. */
+static void ask_to_wake(struct client *client, uint64_t asked_ms, uint64_t due_ms) {
+  worker_wake_at(client->worker, uv_now(&client->worker->loop) + asked_ms);
+  assert_int_equal(uv_timer_get_due_in(&client->worker->deadline), due_ms);
+}
+
+static void waiter_start(struct client *client) {
+  ask_to_wake(client, 900000, 900000);
+  ask_to_wake(client, 300000, 300000);
+  ask_to_wake(client, 600000, 300000);
+  ask_to_wake(client, 0, 1);
+}
+
+static void waiter_deadline(struct client *client) {
+  ask_to_wake(client, 600000, 600000); /* The deadline that has passed does not hide a later one. */
+  worker_stop(client->worker);
+}
+
+UNIT_TEST(the_earliest_deadline_wakes) {
+  static const struct client_kind kind = {
+      .start = waiter_start, .deadline = waiter_deadline, .stop = worker_forget};
+  static struct client client = {.kind = &kind};
+  static struct fixture f;
+  serve(&f, &client);
+}
+
 /* ---- leaving --------------------------------------------------------------------------------- */
 
 /* Clients that at random moments give each other turns, forget and free each other, and come anew. */
