@@ -124,40 +124,6 @@ UNIT_TEST(mcml_is_met) {
   montecarlo_run_free(&run);
 }
 
-/* A slab is the same slab when it is cut, and a film of nothing on top of it changes nothing. The two
- * are walked by different loops. */
-UNIT_TEST(cut_slabs_are_walked_as_one) {
-  static const core_medium whole = {0.2, 8, 0.7, 1.4, 1.2};
-  const core_medium cut[] = {{0.2, 8, 0.7, 1.4, 0.05},
-                             {0.2, 8, 0.7, 1.4, 0.35},
-                             {0.2, 8, 0.7, 1.4, 0.8},
-                             {1e-9, 0, 0, 1, 1e4}};
-  montecarlo_run one = walk_layers(&whole, 1, 0, 150, 1);
-  montecarlo_run other = walk_layers(cut, 4, 1, 150, 2);
-  const core_mc_energy a = montecarlo_energy(&one, 0), b = montecarlo_energy(&other, 0);
-  double squares = 0;
-  size_t compared = 0;
-  for (size_t side = 0; side < CORE_MC_SIDES; side++) {
-    core_mc_ring ours[PLAIN_RINGS], theirs[PLAIN_RINGS];
-    assert_near("total", a.left[side], b.left[side].value, b.left[side].error);
-    assert_true(fabs(a.unscattered[side] - b.unscattered[side]) <= 1e-5);
-    core_mc_total_rings(one.total, 0, side, ours);
-    core_mc_total_rings(other.total, 0, side, theirs);
-    for (size_t i = 0; i < PLAIN_RINGS && side == CORE_MC_REFLECTED; i++) {
-      if (ours[i].photons > 200 && theirs[i].photons > 200) {
-        squares += square(ours[i].R_per_mm2 - theirs[i].R_per_mm2) /
-                   (square(ours[i].error_per_mm2) + square(theirs[i].error_per_mm2));
-        compared++;
-      }
-    }
-  }
-  printf("cut slab: %zu rings, chi-squared %.1f\n", compared, squares);
-  assert_true(compared >= 20);
-  assert_true(squares <= (double)compared + DEVIATIONS_MAX * sqrt(2 * (double)compared));
-  montecarlo_run_free(&one);
-  montecarlo_run_free(&other);
-}
-
 /* Returns the mean of what the solver has over a ring, and adds its error's mean to *error. */
 static double solved_ring(const solver_layers *solution, size_t side, const core_mc_ring *ring,
                           double *error) {

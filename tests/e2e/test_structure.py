@@ -1,8 +1,6 @@
-"""tests/structure.py finds a circle of includes that is put into a copy of the sources, and documents
-and rules that are too long."""
+"""tests/structure.py finds circles of includes, and documents and rules that are too long."""
 
 import platform
-import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -15,13 +13,6 @@ sys.path.insert(0, str(REPOSITORY / "tests"))
 import structure  # noqa: E402  (needs the path above)
 
 
-@pytest.fixture
-def copy(tmp_path) -> Path:
-    for folder in structure.FOLDERS:
-        shutil.copytree(REPOSITORY / folder, tmp_path / folder)
-    return tmp_path
-
-
 def report(root: Path) -> tuple[int, list[str]]:
     """Runs structure.py. Returns its exit status, and the lines that name circles."""
     command = [sys.executable, str(REPOSITORY / "tests/structure.py"), str(root)]
@@ -29,35 +20,18 @@ def report(root: Path) -> tuple[int, list[str]]:
     return done.returncode, [line for line in done.stdout.splitlines() if "->" in line]
 
 
-def test_a_circle_is_named(tmp_path):
-    for name, included in {"a.h": "core/b.h", "b.c": "c.h", "c.def": "a.h", "d.c": "a.h"}.items():
-        path = tmp_path / "core" / name
-        path.parent.mkdir(exist_ok=True)
-        path.write_text(f'#include <stdio.h>\n#include "{included}"\n')
-    (tmp_path / "core/b.h").touch()
-    (tmp_path / "core/c.h").touch()
-    circle = "core/a -> core/b -> core/c -> core/a"
-    assert report(tmp_path) == (1, [f"modules include each other: {circle}"])
-    (tmp_path / "core/c.def").unlink()
-    assert report(tmp_path) == (0, [])
-
-
 @pytest.mark.parametrize("folder", structure.FOLDERS)
-def test_a_circle_put_into_a_copy_is_found(copy, folder):
-    """Adds an include to a header so that it includes the header of a module by which it is
-    included."""
-    graph = structure.modules(copy)
-    module, other = next(
-        (module, other)
-        for module in graph
-        for other in sorted(graph[module])
-        if module.startswith(f"{folder}/") and all((copy / f"{one}.h").exists() for one in (module, other))
-    )
-    with (copy / f"{other}.h").open("a") as header:
-        header.write(f'#include "{module}.h"\n')
-    status, lines = report(copy)
-    assert status == 1
-    assert any({module, other} <= set(line.split()) for line in lines)
+def test_a_circle_is_named(tmp_path, folder):
+    for name, included in {"a.h": f"{folder}/b.h", "b.c": "c.h", "c.def": "a.h", "d.c": "a.h"}.items():
+        path = tmp_path / folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(f'#include <stdio.h>\n#include "{included}"\n')
+    (tmp_path / folder / "b.h").touch()
+    (tmp_path / folder / "c.h").touch()
+    circle = " -> ".join(f"{folder}/{name}" for name in "abca")
+    assert report(tmp_path) == (1, [f"modules include each other: {circle}"])
+    (tmp_path / folder / "c.def").unlink()
+    assert report(tmp_path) == (0, [])
 
 
 @pytest.mark.skipif(

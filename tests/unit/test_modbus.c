@@ -227,49 +227,6 @@ UNIT_TEST(a_line_that_is_never_silent) {
   assert_int_equal(end(&receiver), sizeof mine);
 }
 
-/* Of random pieces of frames, echo, noise and silences, only frames to the unit or to all units are
- * taken for requests. */
-UNIT_TEST(any_bytes_can_be_received) {
-  uint64_t random = unit_seed();
-  struct modbus_receiver *receiver = calloc(1, sizeof *receiver);
-  receiver->number = 7;
-  receiver->silence_ns = SILENCE_NS;
-  size_t requests = 0;
-  for (int i = 0; i < 200000; i++) {
-    uint8_t bytes[300];
-    size_t count = 1 + unit_random_below(&random, unit_random_below(&random, 4) == 0 ? 290 : 12);
-    unit_random_bytes(&random, bytes, count);
-    bytes[0] = (uint8_t)(unit_random_below(&random, 3) * 7 / 2); /* 0, 3, or 7 */
-    bytes[1] = 6;
-    if (count >= 6 && unit_random_below(&random, 4) > 0) {
-      count = close_frame(bytes, count > 6 && count < 12 ? 6 : count);
-    }
-    size_t room;
-    uint8_t *at = modbus_receiver_room(receiver, &room);
-    assert_true(room >= 1);
-    count = count < room ? count : room;
-    memcpy(at, bytes, count);
-    modbus_receiver_arrived(receiver, count,
-                            receiver->arrived_ns + unit_random_below(&random, 2 * SILENCE_NS));
-    modbus_receiver_is_whole(receiver);
-    if (unit_random_below(&random, 2) == 0) {
-      continue;
-    }
-    struct modbus_burst burst;
-    modbus_receiver_end(receiver, &burst);
-    if (burst.bytes > 0) {
-      requests++;
-      assert_true(modbus_rtu_is_frame(burst.request, burst.bytes));
-      assert_true(burst.request[0] == 7 || burst.request[0] == 0);
-      if (modbus_receiver_sent(receiver, burst.request, burst.bytes)) {
-        modbus_receiver_probed(receiver);
-      }
-    }
-  }
-  assert_true(requests > 1000);
-  free(receiver);
-}
-
 /* ---- networks ----------------------------------------------------------------------------- */
 
 static bool allows(const char *network, const char *address) {
