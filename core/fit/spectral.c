@@ -813,6 +813,24 @@ static void put_unknown(const core_spectral *of, const struct found *at, size_t 
   }
 }
 
+/* Widens *error of the saturation, which bends where the total is vague, such that 2.5 of it are at least
+ * how much it changes if amounts move along with it by two errors. row[]: its covariances with them. */
+static void widen_share(const core_spectral *of, const double *x, const double *row, double *error,
+                        double *shift) {
+  const double oxy = term_at(of, x, of->oxy), share = oxy / (oxy + term_at(of, x, of->deoxy));
+  double most = *error;
+  for (int way = -1; way <= 1 && *error > 0 && *error < (double)INFINITY; way += 2) {
+    double moved[MOST];
+    for (size_t k = 0; k < of->unknowns; k++) {
+      moved[k] = clamp(x[k] + 2 * way * row[k] / *error, of->low[k], of->high[k]);
+    }
+    const double part = term_at(of, moved, of->oxy), all = part + term_at(of, moved, of->deoxy);
+    most = real_max(most, all > 0 ? fabs(part / all - share) / 2.5 : (double)INFINITY);
+  }
+  *shift *= most > *error ? most / *error : 1;
+  *error = most;
+}
+
 /* Sets saturation and total. */
 static void put_haemoglobin(const core_spectral *of, const struct found *at,
                             core_spectral_result *result) {
@@ -834,6 +852,7 @@ static void put_haemoglobin(const core_spectral *of, const struct found *at,
   }
   if (sought && total > 0) {
     measure(of, at, by_share, &error, &shift, row);
+    widen_share(of, at->q.x, row, &error, &shift);
     core_spectral_estimate one = estimate(
         0, judge(at, bound, error, shift, CORE_SPECTRAL_SHARE_MOST), oxy / total, error, 0);
     result->saturation_status = one.status;

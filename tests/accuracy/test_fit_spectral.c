@@ -412,7 +412,14 @@ UNIT_TEST(wavelengths_determine_what_a_linear_fit_says) {
         more = core_spectral_step(of.spectral, &result, NULL);
       }
       const size_t n = result.unknown_count + 1;
-      expect_near(result.saturation_error, rows[i].saturation[column], 5e-4);
+      const double all = tissue[HBO2] + tissue[HB], *covariance = result.covariance;
+      const double linear = sqrt(tissue[HB] * tissue[HB] * covariance[0] +
+                                 tissue[HBO2] * tissue[HBO2] * covariance[n] -
+                                 2 * tissue[HB] * tissue[HBO2] * covariance[1]) /
+                            (all * all);
+      expect_near(linear, rows[i].saturation[column], 5e-4);
+      assert_true(linear < 0.02 ? fabs(result.saturation_error - linear) < 1e-6 * linear
+                                : result.saturation_error > 1.1 * linear);
       if (column > 0) {
         expect_near(sqrt(result.covariance[WATER * n]), rows[i].water[column - 1], 5e-3);
       }
@@ -553,6 +560,19 @@ UNIT_TEST(nothing_is_fitted_that_differs_in_a_second_solution) {
   of.terms[WATER] = (number){tissue[WATER], 0, 0};
   assert_int_equal(count_far(&of, tissue, 300, &fitted), 0);
   assert_true(fitted > 300);
+}
+
+/* With hb given, more hbo2 makes the saturation 1 and its derivative 0, however vague hbo2 is. */
+UNIT_TEST(the_saturation_of_a_vague_total_has_no_small_error) {
+  static const double tissue[TERMS] = {10, 5, 0.6, 0.3, 1.9, 1.2};
+  struct instrument of = instrument(twelve + 4, 1);
+  size_t fitted = 0;
+  of.error = 0.2;
+  for (size_t k = 0; k < TERMS; k++) {
+    of.terms[k] = k == HBO2 ? sought[k] : (number){tissue[k], 0, 0};
+  }
+  assert_int_equal(count_far(&of, tissue, 1000, &fitted), 0);
+  assert_true(fitted > 100);
 }
 
 /* With a known the search starts from several b. In one set of these the noise makes the wrong solution
