@@ -219,7 +219,11 @@ NO_MAGIC = {
     "a balancer": (b"PROXY TCP4 192.0.2.1 192.0.2.2 4000 4817\r\n", "no PROXY header of a balancer"),
     "a balancer's bytes": (b"\r\n\r\n\0\r\nQUIT\n\x21\x11\0\x0c" + bytes(12), "no PROXY header of a balancer"),
     "TLS": (b"\x16\3\1\2\0\1\0\1\xfc\3\3" + bytes(32), "this is TLS"),
+    "TLS's alert": (b"\x15\3\3\0\2\2\x28" + bytes(32), "this is TLS"),
     "HTTP": (b"POST /v1/eval HTTP/1.1\r\nHost: a\r\n\r\n", "this is HTTP"),
+    "GET": (b"GET / HTTP/1.1\r\nHost: a\r\n\r\n", "this is HTTP"),
+    "HTTP's answer": (b"HTTP/1.1 200 OK\r\nDate: today\r\n\r\n", "this is HTTP"),
+    "another": (b"SSH-2.0-OpenSSH_9.2\r\n" + bytes(32), "D I P L"),
 }
 
 

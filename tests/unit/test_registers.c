@@ -1,5 +1,5 @@
-/* The Modbus register map: its list, and that REGISTERS.md is current. tests/e2e/test_modbus_map.py
- * and test_modbus_functions.py test which registers can be read and written. */
+/* The Modbus register map's list. tests/e2e/test_modbus_map.py and test_modbus_functions.py test which
+ * registers can be read and written, test_modbus_eval.py doubles, texts and the mirror. */
 #include "proto/registers.h"
 #include "tests/unit/unit.h"
 
@@ -61,47 +61,4 @@ UNIT_TEST(the_defaults_may_be_written) {
   assert_int_equal(registers_check(0, 236, values, &at).status, WIRE_STATUS_OK);
   assert_int_equal(registers_check(0, 237, values, &at).status, WIRE_STATUS_BAD_ADDRESS);
   assert_int_equal(at, 236);
-}
-
-/* ---- values ------------------------------------------------------------------------------- */
-
-UNIT_TEST(optional_values) {
-  registers_reset(image);
-  for (unsigned id = 1; id < CORE_PARAMETERS_END; id++) {
-    assert_true(isnan(registers_optional(image, REGISTERS_PARAMETER_AT(id))));
-  }
-  registers_set_f32(image, REGISTERS_AT_THICKNESS, 2.5F);
-  assert_true(registers_optional(image, REGISTERS_AT_THICKNESS) == 2.5);
-}
-
-UNIT_TEST(doubles_and_text) {
-  registers_reset(image);
-  registers_set_f64(image, REGISTERS_AT_ALBEDO_DOUBLE, 123456.0); /* words 40fe 2400 0000 0000 */
-  assert_int_equal(image[REGISTERS_AT_ALBEDO_DOUBLE], 0x40fe);
-  assert_int_equal(image[REGISTERS_AT_ALBEDO_DOUBLE + 1], 0x2400);
-  registers_set_text(image, REGISTERS_AT_ERROR_TEXT, 40, "abc");
-  assert_int_equal(image[REGISTERS_AT_ERROR_TEXT], 'a' << 8 | 'b');
-  assert_int_equal(image[REGISTERS_AT_ERROR_TEXT + 1], 'c' << 8);
-  assert_int_equal(image[REGISTERS_AT_ERROR_TEXT + 2], 0);
-  uint8_t mirrored[2];
-  registers_read(image, REGISTERS_AT_ERROR_TEXT + REGISTERS_MIRROR, 1, mirrored);
-  assert_memory_equal(mirrored, "ab", 2);
-}
-
-UNIT_TEST(fields_of_requests_have_registers) {
-  assert_int_equal(registers_of_field(&registers_jobs[REGISTERS_JOB_EVAL], "sigma_a", 0),
-                   REGISTERS_AT_SIGMA_A);
-  assert_int_equal(registers_of_field(&registers_jobs[REGISTERS_JOB_EVAL], "r", 3),
-                   REGISTERS_AT_RADII + 6);
-  assert_int_equal(registers_of_field(&registers_jobs[REGISTERS_JOB_EVAL], "thickness", 0),
-                   REGISTERS_AT_THICKNESS);
-  assert_int_equal(registers_of_field(&registers_jobs[REGISTERS_JOB_EVAL], "memory", 0),
-                   REGISTERS_AT_COMMIT);
-}
-
-UNIT_TEST(inclusion_sees_the_mirror) {
-  assert_true(registers_include(100, 14, REGISTERS_AT_COMMIT));
-  assert_true(registers_include(2100, 1, REGISTERS_AT_COMMIT));
-  assert_false(registers_include(101, 14, REGISTERS_AT_COMMIT));
-  assert_false(registers_include(0, 100, REGISTERS_AT_COMMIT));
 }

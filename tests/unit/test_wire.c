@@ -1,6 +1,5 @@
-/* The wire's text, headers and lists. The target messages of tests/fuzz writes and reads every
- * structure; the examples of PROTOCOL.md hold their sizes. */
-#include "core/varying.h"
+/* The wire's text, headers and names. The target messages of tests/fuzz writes and reads every
+ * structure; the examples of PROTOCOL.md hold their sizes; test_hello_and_statistics.py has the lists. */
 #include "proto/wire.h"
 #include "tests/unit/unit.h"
 
@@ -98,20 +97,6 @@ UNIT_TEST(headers_are_checked) {
   }
 }
 
-UNIT_TEST(what_comes_in_place_of_the_magic_is_named) {
-  static const char *const rows[][2] = {
-      {"PROXY TCP4", "PROXY"}, {"\r\n\r\n", "PROXY"}, {"\x16\3\1\2", "TLS"}, {"\x15\3\3\2", "TLS"},
-      {"GET /", "HTTP"},       {"POST /", "HTTP"},    {"HTTP/1.1", "HTTP"},  {"SSH-2.0", ""}};
-  for (size_t i = 0; i < sizeof rows / sizeof rows[0]; i++) {
-    wire_header header = {.version = WIRE_VERSION};
-    memcpy(&header.magic, rows[i][0], sizeof header.magic);
-    const wire_error error = wire_header_check(&header, 64);
-    assert_non_null(strstr(error.allowed, rows[i][1]));
-    assert_int_equal(strlen(error.allowed) > strlen("0x4c504944, the bytes D I P L"),
-                     rows[i][1][0] != '\0');
-  }
-}
-
 UNIT_TEST(the_magic_reads_as_text) {
   uint8_t bytes[WIRE_BYTES_header];
   wire_put_header(bytes, &good_header);
@@ -135,26 +120,4 @@ UNIT_TEST(statuses_and_types_have_names) {
   assert_string_equal(wire_type_name(0x7abc), "unknown");
   assert_string_equal(wire_status_of(0xffff)->name, "unknown");
   assert_true(strlen(wire_status_of(0xffff)->text) > 0);
-}
-
-/* ---- choices ------------------------------------------------------------------------------ */
-
-static void assert_choices_hold(enum wire_choice_kind kind, const core_choice *list,
-                                size_t *index) {
-  for (; list->name != NULL; list++) {
-    assert_true(*index < wire_choice_count());
-    const wire_choice choice = wire_choice_at((*index)++);
-    assert_int_equal(choice.kind, kind);
-    assert_int_equal(choice.id, list->id);
-    assert_string_equal(choice.name, list->name);
-    assert_string_equal(choice.about, list->about);
-  }
-}
-
-/* The choices are all lists of core, complete, and then the statuses. */
-UNIT_TEST(choices_hold_every_list) {
-  size_t index = 0;
-#define WIRE_LIST(kind, IDENT, name, plural, list) assert_choices_hold(kind, list, &index);
-#include "proto/messages.def"
-  assert_int_equal(index, wire_choice_count());
 }
