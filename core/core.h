@@ -374,13 +374,14 @@ enum core_light {
   CORE_LIGHTS
 };
 
-/* Sets *albedo to the share that leaves of the power that entered; NaN on a fault. For a beam
+/* Sets *albedo to the share that leaves of the power that entered, and *error to its relative numerical
+ * error; both to NaN on a fault. For a beam
  * it is what core_profile_prepare() would set core_profile.albedo to, for CORE_EVALUATOR_F64 without
- * parameters. Diffuse light needs `transport` (asserted), and has an error of 1e-6. Arguments and
+ * parameters. Diffuse light needs `transport` (asserted). Arguments and
  * faults are those of core_profile_prepare(). It takes as long as preparing, or some ten
  * milliseconds where core_finds_albedo_slowly() is false. */
 core_fault core_albedo(const core_isa *isa, unsigned model, unsigned moments, enum core_light light,
-                       const core_medium *medium, double *albedo);
+                       const core_medium *medium, double *albedo, double *error);
 
 /* Whether preparing takes longer than some ten microseconds, so that caching the profile pays, or the
  * profile owns memory. It is true wherever core_prepares_slowly() is. parameters: may be NULL. */

@@ -154,14 +154,15 @@ static double scale(const core_inverter *inverter, double ratio) {
 static bool settle(core_inverter *inverter, double ratio) {
   inverter->medium = medium_of_ratio(inverter, ratio, scale(inverter, ratio));
   inverter->found = check_medium(inverter, &inverter->medium).field == NULL;
+  inverter->ratio = ratio;
   inverter->phase = CORE_INVERTER_LAST;
   return !inverter->found;
 }
 
 /* Guesses the ratio. An albedo is about 1 - 3 sqrt(ratio) where little is absorbed, and about 0.1 /
  * ratio where much is. */
-static double first_guess(const core_inverter *inverter) {
-  const double odds = inverter->wanted / (inverter->albedo_most - inverter->wanted);
+static double first_guess(const core_inverter *inverter, double albedo) {
+  const double odds = albedo / (inverter->albedo_most - albedo);
   return odds > 0.3 ? 0.1 / (odds * odds) : 0.3 / odds;
 }
 
@@ -187,7 +188,7 @@ bool core_inverter_seek(core_inverter *inverter, double albedo, enum core_length
   inverter->before.distance = (double)NAN;
   inverter->best.albedo = (double)INFINITY;
   inverter->steps = 0;
-  const double guess = first_guess(inverter);
+  const double guess = first_guess(inverter, inverter->wanted);
   probe(inverter, guess > RATIO_MIN && guess < inverter->ratio_most ? guess : 1);
   return false;
 }
@@ -245,7 +246,73 @@ static bool search(core_inverter *inverter, double albedo) {
   return false;
 }
 
-bool core_inverter_take(core_inverter *inverter, double albedo) {
+/* ---- the errors of coefficients ---------------------------------------------------------------- */
+
+/* Enters the coefficients that the medium might have instead. */
+static void widen(core_inverter *inverter, double ratio) {
+  const core_medium other = medium_of_ratio(inverter, ratio, scale(inverter, ratio));
+  const core_medium *answer = &inverter->answer;
+  inverter->sigma_a_error_per_mm =
+      fmax(inverter->sigma_a_error_per_mm, fabs(other.sigma_a_per_mm - answer->sigma_a_per_mm));
+  inverter->sigma_s_error_per_mm =
+      fmax(inverter->sigma_s_error_per_mm, fabs(other.sigma_s_per_mm - answer->sigma_s_per_mm));
+}
+
+static bool end_errors(core_inverter *inverter) {
+  inverter->medium = inverter->answer;
+  return true;
+}
+
+static void probe_beside(core_inverter *inverter) {
+  const bool darker = inverter->phase == CORE_INVERTER_DARKER, white = !(inverter->ratio > 0);
+  const double from = white ? first_guess(inverter, inverter->aim) / 4 : inverter->ratio;
+  probe(inverter, darker ? real_min(from * inverter->factor, inverter->ratio_most)
+                         : real_max(from / inverter->factor, RATIO_MIN));
+}
+
+/* Aims at a brighter albedo, or a darker one before. Returns whether the search has ended. */
+static bool aim_beside(core_inverter *inverter, enum core_inverter_phase phase) {
+  const bool darker = phase == CORE_INVERTER_DARKER;
+  inverter->phase = phase;
+  inverter->aim = darker ? inverter->wanted - inverter->off : inverter->wanted + inverter->off;
+  if (darker ? inverter->aim > inverter->albedo_least : inverter->aim < inverter->albedo_most) {
+    const double apart = inverter->ratio > 0 ? fabs(distance(inverter, inverter->aim)) : 0;
+    inverter->factor =
+        apart > 0 ? real_max(real_exp_signed(real_min(2 * apart, 40)), 1 + ALIKE) : 4;
+    probe_beside(inverter);
+    return false;
+  }
+  widen(inverter, darker ? inverter->ratio_most : inverter->ratio_least);
+  return darker ? aim_beside(inverter, CORE_INVERTER_BRIGHTER) : end_errors(inverter);
+}
+
+static bool take_beside(core_inverter *inverter, double albedo) {
+  const bool darker = inverter->phase == CORE_INVERTER_DARKER;
+  const double ratio = inverter->now.ratio;
+  const bool ends = ratio >= inverter->ratio_most || ratio <= RATIO_MIN;
+  if (!ends && (darker ? albedo > inverter->aim : albedo < inverter->aim)) {
+    inverter->factor *= inverter->factor;
+    probe_beside(inverter);
+    return false;
+  }
+  widen(inverter, ratio);
+  return darker ? aim_beside(inverter, CORE_INVERTER_BRIGHTER) : end_errors(inverter);
+}
+
+/* Takes the albedo of the medium that was found. */
+static bool take_last(core_inverter *inverter, double albedo, double error) {
+  const bool scatters = inverter->wanted > 0;
+  inverter->albedo = albedo;
+  inverter->found = scatters || !(fabs(albedo) > 0 || isnan(albedo));
+  inverter->answer = inverter->medium;
+  inverter->sigma_a_error_per_mm = ALIKE * inverter->medium.sigma_a_per_mm;
+  inverter->sigma_s_error_per_mm = ALIKE * inverter->medium.sigma_s_per_mm;
+  inverter->off = fabs(albedo - inverter->wanted) + error * albedo;
+  return !inverter->finds_errors || !inverter->found || !scatters ||
+         aim_beside(inverter, CORE_INVERTER_DARKER);
+}
+
+bool core_inverter_take(core_inverter *inverter, double albedo, double error) {
   switch (inverter->phase) {
   case CORE_INVERTER_MOST:
     inverter->albedo_most = albedo;
@@ -257,9 +324,9 @@ bool core_inverter_take(core_inverter *inverter, double albedo) {
     return true;
   case CORE_INVERTER_SEARCH:
     return search(inverter, albedo);
+  case CORE_INVERTER_LAST:
+    return take_last(inverter, albedo, error);
   default:
-    inverter->albedo = albedo;
-    inverter->found = inverter->wanted > 0 || !(fabs(albedo) > 0 || isnan(albedo));
-    return true;
+    return take_beside(inverter, albedo);
   }
 }

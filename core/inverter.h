@@ -24,14 +24,22 @@ enum core_inverter_phase {
   CORE_INVERTER_LEAST,  /* finds the least albedo */
   CORE_INVERTER_SEARCH, /* narrows the range of ratios */
   CORE_INVERTER_LAST,   /* gives the albedo of the medium that was found */
+  CORE_INVERTER_DARKER, /* shows that a medium is as dark as that one may be by its error */
+  CORE_INVERTER_BRIGHTER,
 };
 
-/* Callers read medium, found, albedo, albedo_least and albedo_most. The inverter keeps the other
- * fields for itself. */
+/* Callers read medium, found, albedo, the errors, albedo_least and albedo_most, and may set finds_errors.
+ * The inverter keeps the other fields for itself. */
 typedef struct core_inverter {
+  /* whether searches find the errors of coefficients, which takes two more probes, seldom more */
+  bool finds_errors;
   core_medium medium; /* the medium to probe next, or at the end of a search the one found */
   bool found;         /* true if a medium has the wanted albedo and length */
   double albedo;      /* albedo of the medium that was found */
+  /* the most by which its coefficients differ from those that have the wanted albedo by the model's
+   * exact formula; infinite where these have no limit */
+  double sigma_a_error_per_mm;
+  double sigma_s_error_per_mm;
   /* range of albedos that can be reached, apart from 0; known before the first search */
   double albedo_least;
   double albedo_most;
@@ -56,6 +64,11 @@ typedef struct core_inverter {
   core_inversion_point before;
   core_inversion_point best;
   unsigned steps;
+  double ratio;       /* that of the medium found */
+  core_medium answer; /* that medium, while others are probed for its errors */
+  double off;         /* the most by which its albedo differs from the wanted one */
+  double aim;         /* the wanted albedo less or plus that */
+  double factor;      /* between the ratio that is probed and `ratio` */
 } core_inverter;
 
 /* Begins to find the reach of a model: its albedos, of a light, without absorption and without
@@ -72,10 +85,10 @@ core_fault core_inverter_start(core_inverter *inverter, unsigned model, unsigned
  * reflects, if the albedos to seek contain that. */
 double core_inverter_seen(const core_inverter *inverter, double albedo);
 
-/* Takes the albedo of inverter->medium, prepared with the evaluator f64 and no parameters. Returns
- * true when the reach or the search has ended, and false when inverter->medium is to be probed
- * next. */
-bool core_inverter_take(core_inverter *inverter, double albedo);
+/* Takes the albedo of inverter->medium, prepared with the evaluator f64 and no parameters, and its
+ * relative error. Returns true when the reach or the search has ended, and false when
+ * inverter->medium is to be probed next. */
+bool core_inverter_take(core_inverter *inverter, double albedo, double error);
 
 /* Call this when the reach is known. Returns a fault if the model's albedo is the same for every
  * medium. */

@@ -684,7 +684,7 @@ core_fault core_profile_prepare_until(core_profile *profile, const core_isa *isa
 }
 
 core_fault core_albedo(const core_isa *isa, unsigned model, unsigned moments, enum core_light light,
-                       const core_medium *medium, double *albedo) {
+                       const core_medium *medium, double *albedo, double *error) {
   assert(light == CORE_LIGHT_BEAM || core_solves(model));
   const core_parameters none = core_parameters_none();
   const core_inputs inputs = {.moments = moments,
@@ -695,9 +695,10 @@ core_fault core_albedo(const core_isa *isa, unsigned model, unsigned moments, en
                               .light = light};
   core_profile profile;
   const core_fault fault = check_and_prepare(&profile, model, CORE_EVALUATOR_F64, &inputs);
-  *albedo = (double)NAN;
+  *albedo = *error = (double)NAN;
   if (fault.field == NULL) {
     *albedo = profile.albedo;
+    *error = profile.numerical_errors[CORE_ERROR_BANDS];
     core_profile_free(&profile);
   }
   return fault;

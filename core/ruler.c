@@ -92,12 +92,15 @@ void core_model_errors_at(const core_profile *profile, const core_profile *trans
   }
 }
 
-/* Returns the relative error of the albedo. */
+/* Returns the relative error of an albedo; `numerical` is that of the true one. */
+static double off_albedo(double albedo, double truth, double numerical) {
+  const double error = off_by(CORE_QUANTITY_ALBEDO, albedo, truth, 0, 16 * DBL_TRUE_MIN);
+  return error + (1 + error) * numerical;
+}
+
 static double error_of_albedo(const core_profile *profile, const core_profile *transport) {
-  const double error =
-      off_by(CORE_QUANTITY_ALBEDO, profile->albedo, transport->albedo, 0, 16 * DBL_TRUE_MIN);
-  const core_radii_range none = {1, 0};
-  return error + (1 + error) * core_profile_errors(transport, CORE_QUANTITY_ALBEDO, none).numerical;
+  return off_albedo(profile->albedo, transport->albedo,
+                    transport->numerical_errors[CORE_ERROR_BANDS]);
 }
 
 /* The distance in ln r of radii that are compared. Between them the error is taken to be smooth. It
@@ -182,7 +185,7 @@ double core_model_error(const core_profile *profile, const core_profile *transpo
   if (transport == NULL) {
     return stated_error(profile, wanted, requested->range);
   }
-  double r[CORE_RULER_RADII], error[CORE_RULER_RADII];
+  double r[CORE_RULER_RADII] = {0}, error[CORE_RULER_RADII];
   double most =
       (wanted & CORE_QUANTITY_ALBEDO) != 0 ? error_of_albedo(profile, transport) : (double)NAN;
   bool between = false;
@@ -222,4 +225,15 @@ core_model_errors core_model_errors_measure(const core_profile *profile,
   }
   errors.error[CORE_MODEL_ERROR_BANDS] = error_of_albedo(profile, transport);
   return errors;
+}
+
+double core_ruler_albedo_error(const core_isa *isa, unsigned model, const core_medium *medium,
+                               double albedo) {
+  double truth, numerical;
+  if (core_solves(model)) {
+    return 0;
+  }
+  core_albedo(isa, CORE_MODEL_TRANSPORT, CORE_MOMENTS_EXACT, CORE_LIGHT_BEAM, medium, &truth,
+              &numerical);
+  return isnan(truth) ? (double)NAN : off_albedo(albedo, truth, numerical);
 }

@@ -49,6 +49,11 @@ void core_model_errors_at(const core_profile *profile, const core_profile *trans
 double core_model_error(const core_profile *profile, const core_profile *transport, unsigned wanted,
                         const core_requested_radii *requested);
 
+/* Returns how far an albedo that a model without parameters has of a half space is from transport's,
+ * relative; NAN if that is not known. It takes as long as core_albedo() of transport. */
+double core_ruler_albedo_error(const core_isa *isa, unsigned model, const core_medium *medium,
+                               double albedo);
+
 /* Returns the errors of a profile in each band; the arguments are those of core_model_error(). */
 core_model_errors core_model_errors_measure(const core_profile *profile,
                                             const core_profile *transport);

@@ -589,6 +589,9 @@ typedef struct dipole_inversion {
                             most 1e-12, relative, or a few units in the last place of the model. */
   double albedo_least;   /* the least above 0 that the model reaches with this g and eta */
   double albedo_most;    /* the largest albedo that the model reaches with this g and eta */
+  const double *sigma_a_errors_per_mm; /* the most by which they are off the model's formula */
+  const double *sigma_s_errors_per_mm;
+  const double *model_errors; /* how far the albedos are from transport's, relative; NaN: unknown */
 } dipole_inversion;
 
 /* Finds the media that have the given albedos and lengths, and waits for the reply. The caller

@@ -9,11 +9,6 @@
 
 /* ---- parts --------------------------------------------------------------------------------- */
 
-/* Returns whether two numbers differ. A NaN differs from no number. */
-static bool differ(double a, double b) {
-  return a < b || a > b;
-}
-
 static bool merge_part(const libdipole_pending *pending, const void *part, void *whole) {
   const wire_invert_reply *fixed = part;
   wire_invert_reply *all = whole;
@@ -21,11 +16,11 @@ static bool merge_part(const libdipole_pending *pending, const void *part, void 
   if (all != NULL) {
     all->missing_count += fixed->missing_count;
   }
-  return fixed->missing_count <= fixed->count &&
+  return fixed->missing_count <= fixed->count && fixed->errors == 2 &&
          (all == NULL ||
           (fixed->model == all->model && fixed->moments == all->moments &&
-           fixed->given == all->given && !differ(fixed->albedo_least, all->albedo_least) &&
-           !differ(fixed->albedo_most, all->albedo_most)));
+           fixed->given == all->given &&
+           memcmp(&fixed->albedo_least, &all->albedo_least, 2 * sizeof(double)) == 0));
 }
 
 static const libdipole_kind kind = {
@@ -46,7 +41,7 @@ static bool check(const dipole_invert_query *query, dipole_error *error) {
 bool dipole_invert(dipole_client *client, const dipole_invert_query *query,
                    dipole_inversion **inversion, dipole_error *error) {
   const void *const parts[] = {query->albedos, query->lengths_mm};
-  const wire_invert_reply most = {.count = query->medium_count};
+  const wire_invert_reply most = {.count = query->medium_count, .errors = 2};
   libdipole_pending pending = {.kind = &kind,
                                .type = WIRE_TYPE_INVERT,
                                .deadline_ms = query->deadline_ms,
@@ -56,6 +51,7 @@ bool dipole_invert(dipole_client *client, const dipole_invert_query *query,
                                      .given = (uint16_t)query->given,
                                      .light = (uint16_t)query->light,
                                      .specular = query->specular,
+                                     .errors = 2,
                                      .medium_count = (uint32_t)query->medium_count,
                                      .g = query->g,
                                      .eta = query->eta};
@@ -74,7 +70,10 @@ bool dipole_invert(dipole_client *client, const dipole_invert_query *query,
                                         .sigma_s_per_mm = arrays + fixed->count,
                                         .albedos = arrays + 2 * fixed->count,
                                         .albedo_least = fixed->albedo_least,
-                                        .albedo_most = fixed->albedo_most};
+                                        .albedo_most = fixed->albedo_most,
+                                        .sigma_a_errors_per_mm = arrays + 3 * fixed->count,
+                                        .sigma_s_errors_per_mm = arrays + 4 * fixed->count,
+                                        .model_errors = arrays + 5 * fixed->count};
   *inversion = &frame->inversion;
   return true;
 }

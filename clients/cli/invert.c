@@ -33,14 +33,13 @@ static const cli_option options[] = {
 /* A medium to find. */
 typedef struct wanted {
   double wanted_albedo, length_mm;
-  dipole_medium medium; /* coefficients and albedo; NaN if there is no such medium */
-  double albedo;
+  dipole_inversion *found; /* of one medium */
 } wanted;
 
 typedef struct report {
   cli_profile profile;
   const dipole_choice *given, *light;
-  double albedo_least, albedo_most;
+  double g, eta, albedo_least, albedo_most;
   size_t count, requested, missing;
   wanted *items;
 } report;
@@ -125,33 +124,28 @@ static int check(cli_settings *settings) {
 /* Requests one medium after the other, so that the daemon is not silent for long. */
 static bool request_media(dipole_client *client, const cli_settings *settings, report *of,
                           dipole_error *error) {
-  const double g = cli_numbers_pick(&settings->g, 0, 0), eta = settings->eta.items[0];
   cli_progress progress;
   bool good = true;
   cli_progress_start(&progress, "media");
   for (size_t i = 0; good && i < of->count; i++) {
     wanted *one = &of->items[i];
-    dipole_inversion *found;
     const dipole_invert_query query = {.model = of->profile.model->id,
                                        .moments = of->profile.moments->id,
                                        .given = of->given->id,
                                        .light = of->light->id,
                                        .specular = settings->specular,
-                                       .g = g,
-                                       .eta = eta,
+                                       .g = of->g,
+                                       .eta = of->eta,
                                        .albedos = &one->wanted_albedo,
                                        .lengths_mm = &one->length_mm,
                                        .medium_count = 1,
                                        .deadline_ms = (unsigned)settings->deadline_ms.value};
     of->requested = i + 1;
-    good = CLI_RETRY(settings, error, dipole_invert(client, &query, &found, error));
+    good = CLI_RETRY(settings, error, dipole_invert(client, &query, &one->found, error));
     if (good) {
-      one->medium = (dipole_medium){found->sigma_a_per_mm[0], found->sigma_s_per_mm[0], g, eta};
-      one->albedo = found->albedos[0];
-      of->albedo_least = found->albedo_least;
-      of->albedo_most = found->albedo_most;
-      of->missing += found->missing_count;
-      dipole_inversion_free(found);
+      of->albedo_least = one->found->albedo_least;
+      of->albedo_most = one->found->albedo_most;
+      of->missing += one->found->missing_count;
     }
     cli_progress_show(&progress, (double)(i + 1) / (double)of->count, (double)(i + 1));
   }
@@ -162,7 +156,7 @@ static bool request_media(dipole_client *client, const cli_settings *settings, r
 /* ---- writing --------------------------------------------------------------------------------- */
 
 static const char *status_of(const report *of, const wanted *one) {
-  return !isnan(one->medium.sigma_a_per_mm) ? "ok"
+  return one->found->missing_count == 0 ? "ok"
          : one->wanted_albedo < of->albedo_least || one->wanted_albedo > of->albedo_most
              ? "out of reach"
              : "no such length";
@@ -171,20 +165,25 @@ static const char *status_of(const report *of, const wanted *one) {
 static void put_medium(cli_rows *rows, const void *context, size_t index) {
   const report *of = context;
   const wanted *one = &of->items[index];
-  const dipole_medium *medium = &one->medium;
-  const double reduced = medium->sigma_s_per_mm * (1 - medium->g);
+  const dipole_inversion *found = one->found;
+  const double sigma_s = found->sigma_s_per_mm[0];
   const unsigned programs = CLI_IN_CSV | CLI_IN_JSON;
   cli_put_text(rows, of->profile.model->name, "model", .forms = programs);
   cli_put_count(rows, index + 1, "channel");
   cli_put_number(rows, one->wanted_albedo, "wanted_albedo", "albedo", .below = "wanted");
   cli_put_text(rows, of->given->name, "given", .forms = programs);
   cli_put_number(rows, one->length_mm, "length", of->given->name, "mm");
-  cli_put_number(rows, medium->sigma_a_per_mm, "sigma_a", NULL, "1/mm", "%.9g", "-");
-  cli_put_number(rows, medium->sigma_s_per_mm, "sigma_s", NULL, "1/mm", "%.9g", "-");
-  cli_put_number(rows, reduced, "sigma_s'", NULL, "1/mm", "%.9g", "-", .forms = CLI_IN_TABLE);
-  cli_put_number(rows, medium->g, "g");
-  cli_put_number(rows, medium->eta, "eta");
-  cli_put_number(rows, one->albedo, "albedo", "its albedo", .missing = "-");
+  cli_put_number(rows, found->sigma_a_per_mm[0], "sigma_a", NULL, "1/mm", "%.9g", "-");
+  cli_put_number(rows, found->sigma_a_errors_per_mm[0], "sigma_a_error", "+-", "1/mm", "%.2g", "-");
+  cli_put_number(rows, sigma_s, "sigma_s", NULL, "1/mm", "%.9g", "-");
+  cli_put_number(rows, found->sigma_s_errors_per_mm[0], "sigma_s_error", "+-", "1/mm", "%.2g", "-");
+  cli_put_number(rows, sigma_s * (1 - of->g), "sigma_s'", NULL, "1/mm", "%.9g", "-",
+                 .forms = CLI_IN_TABLE);
+  cli_put_number(rows, of->g, "g");
+  cli_put_number(rows, of->eta, "eta");
+  cli_put_number(rows, found->albedos[0], "albedo", "its albedo", .missing = "-");
+  cli_put_number(rows, found->model_errors[0], "albedo_model_error", "model error", NULL, "%.2g",
+                 "-");
   cli_put_text(rows, status_of(of, one), "status");
 }
 
@@ -199,7 +198,7 @@ static void put_facts(cli_rows *rows, const void *context) {
 
 static void write_foot(const void *context) {
   const report *of = context;
-  cli_write_launched(&of->items[0].medium, of->count > 0 ? 1 : 0, 1); /* all media have one eta */
+  cli_write_launched(&(dipole_medium){.eta = of->eta}, 1, 1);
 }
 
 /* ---- the command ----------------------------------------------------------------------------- */
@@ -214,7 +213,7 @@ static int fail_request(const report *of, const char *length, const dipole_error
 }
 
 static int run_invert(const cli_settings *settings, dipole_client *client) {
-  report of = {0};
+  report of = {.g = cli_numbers_pick(&settings->g, 0, 0), .eta = settings->eta.items[0]};
   const char *length = NULL;
   const cli_numbers *lengths = cli_lengths_find(settings, &length);
   dipole_error error;
@@ -233,13 +232,17 @@ static int run_invert(const cli_settings *settings, dipole_client *client) {
   if (of.light == NULL || of.given == NULL) {
     return CLI_USAGE;
   }
-  if (!request_media(client, settings, &of, &error)) {
-    return fail_request(&of, length, &error);
-  }
+  const bool good = request_media(client, settings, &of, &error);
   const cli_report output = {
       .facts = put_facts, .rows = of.count, .put_row = put_medium, .left = 1, .foot = write_foot};
-  cli_write(&output, settings->form, &of);
-  return of.missing == 0
+  if (good) {
+    cli_write(&output, settings->form, &of);
+  }
+  for (size_t i = 0; i < of.count; i++) {
+    dipole_inversion_free(of.items[i].found);
+  }
+  return !good ? fail_request(&of, length, &error)
+         : of.missing == 0
              ? CLI_OK
              : cli_say(
                    CLI_BAD_ROWS,
@@ -253,7 +256,9 @@ const cli_command cli_command_invert = {
     .operand = "[FILE]",
     .about = "Find the medium that has a given albedo: sigma_a and sigma_s",
     .more = "Takes a diffuse albedo and a length, and finds the coefficients of a medium that has "
-            "them by a model. sigma_t' is sigma_a + sigma_s (1 - g). The exit status is 3 if there "
+            "them by a model. sigma_t' is sigma_a + sigma_s (1 - g). The errors of coefficients "
+            "are the most by which they are off the model's exact formula; the model error is how "
+            "far the albedo is from radiative transport's, relative. The exit status is 3 if there "
             "is no such medium for some channel.\n"
             "FILE is CSV with the columns albedo and mean_free_path (or another length; as the "
             "options, with _ for -); - is standard input. Each row is a channel. For images, see "

@@ -2,6 +2,7 @@
 #include <math.h>
 
 #include "core/inverter.h"
+#include "core/ruler.h"
 #include "server/jobs/job.h"
 
 /* The cost of a probe, which finds the albedo of a medium, in radii of a dipole. A slow profile is
@@ -12,7 +13,8 @@ enum {
   COSTLY_PROBE_RADII = JOB_SLICE_RADII,
   SOLVED_PROBE_RADII = 32 * JOB_SLICE_RADII,
   SLOW_PROBE_RADII = JOB_STEP_RADII,
-  PROBES = 8, /* average number of probes for a medium */
+  PROBES = 8,       /* average number of probes for a medium */
+  BOUND_PROBES = 2, /* and for its errors */
 };
 
 struct invert_job {
@@ -73,8 +75,14 @@ static wire_error check_invert(struct invert_job *invert, const struct job_reque
   return check_media(invert);
 }
 
+static bool compares(const struct invert_job *invert) {
+  return invert->fixed.errors == 2 && !core_solves(invert->fixed.model);
+}
+
 static uint64_t medium_radii(const struct invert_job *invert) {
-  return PROBES * invert->probe_radii;
+  const bool bounds = invert->fixed.errors > 0;
+  return (PROBES + (bounds ? BOUND_PROBES : 0)) * invert->probe_radii +
+         (compares(invert) ? SOLVED_PROBE_RADII : 0);
 }
 
 static enum job_outcome start_invert(struct job *job, const struct job_request *request) {
@@ -96,12 +104,13 @@ static enum job_outcome start_invert(struct job *job, const struct job_request *
   if (!job_passes(job, job_admit(job, radii, "medium_count"))) {
     return JOB_REFUSED;
   }
+  invert->inverter.finds_errors = fixed->errors > 0;
   invert->missing = 0;
   invert->reach_known = false;
   invert->seeking = false;
   job_init_lookup(job, &invert->lookup, request);
   profiles_start(&invert->lookup, fixed->model, fixed->moments, CORE_EVALUATOR_F64, &none);
-  const wire_invert_reply start = {.count = 0};
+  const wire_invert_reply start = {.errors = fixed->errors};
   job_parts_fit(job, &schema_invert_reply, &start, 1, fixed->medium_count);
   return JOB_NEXT_PART;
 }
@@ -114,6 +123,7 @@ static enum job_outcome end_invert_part(struct invert_job *invert) {
       .model = fixed->model,
       .moments = fixed->moments,
       .given = fixed->given,
+      .errors = fixed->errors,
       .missing_count = invert->missing,
       .albedo_least = core_inverter_seen(&invert->inverter, invert->inverter.albedo_least),
       .albedo_most = core_inverter_seen(&invert->inverter, invert->inverter.albedo_most),
@@ -128,10 +138,20 @@ static enum job_outcome end_invert_part(struct invert_job *invert) {
 static void put_medium(struct invert_job *invert) {
   const core_inverter *inverter = &invert->inverter;
   const bool found = inverter->found;
-  const double results[] = {inverter->medium.sigma_a_per_mm, inverter->medium.sigma_s_per_mm,
-                            found ? core_inverter_seen(inverter, inverter->albedo) : (double)NAN};
+  const unsigned errors = invert->fixed.errors;
+  const double results[] = {
+      inverter->medium.sigma_a_per_mm,
+      inverter->medium.sigma_s_per_mm,
+      found ? core_inverter_seen(inverter, inverter->albedo) : (double)NAN,
+      inverter->sigma_a_error_per_mm,
+      inverter->sigma_s_error_per_mm,
+      found && errors == 2
+          ? core_ruler_albedo_error(invert->job.context->server->isa, inverter->model,
+                                    &inverter->medium, inverter->albedo)
+          : (double)NAN,
+  };
   double *arrays = (double *)(void *)(invert->job.parts.payload + WIRE_BYTES_invert_reply);
-  for (size_t i = 0; i < sizeof results / sizeof results[0]; i++) {
+  for (size_t i = 0; i < 3 + (errors > 0 ? 1 + errors : 0); i++) {
     arrays[i * invert->job.parts.count + invert->job.parts.index] =
         found ? results[i] : (double)NAN;
   }
@@ -140,20 +160,22 @@ static void put_medium(struct invert_job *invert) {
   invert->seeking = false;
 }
 
-/* Sets *albedo to the albedo of the medium that the inverter tries next. */
-static enum job_outcome try_medium(struct invert_job *invert, double *albedo) {
+/* Sets *albedo to the albedo of the medium that the inverter tries next, and *error to its error. */
+static enum job_outcome try_medium(struct invert_job *invert, double *albedo, double *error) {
   struct job_context *context = invert->job.context;
   const wire_invert_request *fixed = &invert->fixed;
   const uint64_t i = invert->job.parts.first + invert->job.parts.index;
   if (!invert->slow) {
-    const core_fault fault = core_albedo(context->server->isa, fixed->model, fixed->moments,
-                                         invert->inverter.light, &invert->inverter.medium, albedo);
+    const core_fault fault =
+        core_albedo(context->server->isa, fixed->model, fixed->moments, invert->inverter.light,
+                    &invert->inverter.medium, albedo, error);
     return job_follow(&invert->job, fault.field == NULL ? LOOKUP_READY : LOOKUP_FAULT, &fault, i);
   }
   const enum lookup_state state =
       profiles_get(&context->profiles, &invert->lookup, &invert->inverter.medium);
   if (state == LOOKUP_READY) {
     *albedo = invert->lookup.profile.albedo;
+    *error = invert->lookup.profile.numerical_errors[CORE_ERROR_BANDS];
     profiles_return(&invert->lookup);
   }
   return job_follow(&invert->job, state, &invert->lookup.fault, i);
@@ -161,11 +183,13 @@ static enum job_outcome try_medium(struct invert_job *invert, double *albedo) {
 
 /* Gives the albedo of a probe to the inverter. The first probes find out which albedos the model
  * can reach. */
-static enum job_outcome take_albedo(struct invert_job *invert, double albedo) {
-  if (!core_inverter_take(&invert->inverter, albedo)) {
+static enum job_outcome take_albedo(struct invert_job *invert, double albedo, double error,
+                                    uint64_t *spent) {
+  if (!core_inverter_take(&invert->inverter, albedo, error)) {
     return JOB_GOES_ON;
   }
   if (invert->reach_known) {
+    *spent += compares(invert) ? SOLVED_PROBE_RADII : 0;
     put_medium(invert);
     return JOB_GOES_ON;
   }
@@ -188,12 +212,12 @@ static enum job_outcome seek_medium(struct job *job, uint64_t *spent) {
       return JOB_GOES_ON;
     }
   }
-  double albedo;
-  const enum job_outcome outcome = try_medium(invert, &albedo);
+  double albedo, error;
+  const enum job_outcome outcome = try_medium(invert, &albedo, &error);
   if (outcome != JOB_GOES_ON) {
     return outcome;
   }
-  return take_albedo(invert, albedo);
+  return take_albedo(invert, albedo, error, spent);
 }
 
 static enum job_outcome step_invert(struct job *job, uint64_t *budget) {

@@ -114,6 +114,7 @@ static void complete(enum registers_job_kind kind, core_parameters *parameters, 
   wire_sample_request *sample = request;
   fit_start *fit = request;
   wire_fit_tissue_request *tissue = request;
+  wire_invert_request *invert = request;
   switch (kind) {
   case REGISTERS_JOB_EVAL:
     eval->medium_count = 1;
@@ -143,6 +144,8 @@ static void complete(enum registers_job_kind kind, core_parameters *parameters, 
     tissue->set_count = tissue->residuals = 1;
     break;
   case REGISTERS_JOB_INVERT:
+    invert->errors = 2;
+    break;
   case REGISTERS_JOBS:
     break;
   }
@@ -492,6 +495,26 @@ static void take_mc(const uint8_t *reply, size_t reply_bytes, uint16_t image[REG
   }
 }
 
+/* Sets the largest errors of the media that were found. */
+static void set_invert_errors(uint16_t image[REGISTERS_END], const uint8_t *reply,
+                              const schema_layout *layout) {
+  enum { SIGMA_A, SIGMA_S, ALBEDO, MODEL = 5, ARRAYS };
+  double most = 0x1p-24, model_error = 0; /* registers round the coefficients */
+  for (unsigned i = 0; i < layout->parts[SIGMA_A].count; i++) {
+    double value[ARRAYS];
+    for (unsigned k = 0; k < ARRAYS; k++) {
+      value[k] = schema_real_at(reply + layout->parts[k].at, i, false);
+    }
+    for (unsigned k = SIGMA_A; k < ALBEDO; k++) { /* 0 / 0 is NaN, which fmax() passes over */
+      most = fmax(most, value[k + 3] / value[k] + 0x1p-24);
+    }
+    const bool larger = isnan(value[MODEL]) || value[MODEL] > model_error;
+    model_error = !isnan(value[SIGMA_A]) && larger ? value[MODEL] : model_error;
+  }
+  registers_set_f32(image, REGISTERS_AT_INVERT_NUMERICAL_ERROR, rounded_up(most));
+  registers_set_f32(image, REGISTERS_AT_INVERT_MODEL_ERROR, rounded_up(model_error));
+}
+
 /* Names the reading that is wrong. Registers are finite: a value that is not was divided by a reference
  * reading of 0. */
 static wire_error wrong_reading(unsigned field, unsigned index) {
@@ -568,6 +591,7 @@ enum registers_status modbus_translate_reply(enum registers_job_kind kind, const
     break;
   case REGISTERS_JOB_INVERT:
     set_reply(kind, reply, reply_bytes, image, &layout);
+    set_invert_errors(image, reply, &layout);
     break;
   case REGISTERS_JOB_FIT:
   case REGISTERS_JOB_FIT_TISSUE:

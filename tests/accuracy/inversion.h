@@ -15,11 +15,11 @@ typedef struct inversion {
 /* Probes until the reach or the search has ended. */
 static inline void inversion_run(core_inverter *inverter) {
   const core_isa *isa = core_isa_select("portable");
-  double albedo;
+  double albedo, error;
   do {
     core_albedo(isa, inverter->model, inverter->moments, inverter->light, &inverter->medium,
-                &albedo);
-  } while (!core_inverter_take(inverter, albedo));
+                &albedo, &error);
+  } while (!core_inverter_take(inverter, albedo, error));
 }
 
 static inline inversion invert_albedo(unsigned model, unsigned moments, double albedo,

@@ -430,14 +430,14 @@ UNIT_TEST(albedos_are_inverted_with_g) {
   unit_assert_fault(core_inverter_start(&inverter, CORE_MODEL_TRANSPORT, CORE_MOMENTS_EXACT, 0,
                                         false, 0.9, 1.4, 1),
                     NULL, 0);
-  while (!core_inverter_take(&inverter, probe(&inverter.medium))) {
+  while (!core_inverter_take(&inverter, probe(&inverter.medium), 0)) {
   }
   assert_true(inverter.albedo_least > 1e-6 && inverter.albedo_least < 1e-3);
   assert_true(inverter.albedo_most > 0.9999);
   for (double albedo = 2e-4; albedo < 0.9; albedo *= 1.7) {
     assert_false(core_inverter_seek(&inverter, albedo, CORE_LENGTH_FREE_PATH, 2));
     int steps = 0;
-    while (!core_inverter_take(&inverter, probe(&inverter.medium))) {
+    while (!core_inverter_take(&inverter, probe(&inverter.medium), 0)) {
       assert_true(steps++ < 100);
     }
     assert_true(inverter.found && fabs(inverter.albedo / albedo - 1) < 1e-12);

@@ -593,9 +593,9 @@ static void print_answers(const core_isa *isa) {
     assert(fault.field == NULL);
     sum = add_preparation(sum, &profile);
     if (i < 6) {
-      double diffuse;
+      double diffuse, error;
       core_albedo(isa, rows[i].model, CORE_MOMENTS_EXACT, CORE_LIGHT_DIFFUSE, rows[i].layer,
-                  &diffuse);
+                  &diffuse, &error);
       sum = add_numbers(sum, &diffuse, sizeof diffuse);
     }
     for (const core_choice *quantity = core_quantities; quantity->name != NULL; quantity++) {

@@ -49,8 +49,9 @@ Usage: dipole invert [OPTION]... [FILE]
 Find the medium that has a given albedo: sigma_a and sigma_s.
 
 Takes a diffuse albedo and a length, and finds the coefficients of a medium that has them by a
-model. sigma_t' is sigma_a + sigma_s (1 - g). The exit status is 3 if there is no such medium for
-some channel.
+model. sigma_t' is sigma_a + sigma_s (1 - g). The errors of coefficients are the most by which
+they are off the model's exact formula; the model error is how far the albedo is from radiative
+transport's, relative. The exit status is 3 if there is no such medium for some channel.
 
 FILE is CSV with the columns albedo and mean_free_path (or another length; as the options, with _
 for -); - is standard input. Each row is a channel. For images, see `dipole texture`. CSV has a

@@ -125,6 +125,10 @@ def test_an_invert_has_the_wires_values(master, client, given):
     assert as_words(master.read(AT["INVERT_MISSING_COUNT"], 1, unit)) == [expected.missing] == [1]
     reach = numbers(master, "INVERT_ALBEDO_LEAST", 2, unit)
     assert reach.tolist() == [np.float32(expected.albedo_least), np.float32(expected.albedo_most)]
+    errors = [expected.sigma_a_error / expected.sigma_a, expected.sigma_s_error / expected.sigma_s]
+    stated = numbers(master, "INVERT_NUMERICAL_ERROR", 2, unit)  # and that of the model
+    most = np.nanmax(errors) + 2.0**-24, np.nanmax(expected.model_error)
+    assert stated == pytest.approx(most, rel=1e-6) and (stated >= most).all()
 
 
 @pytest.mark.parametrize("thickness", [None, 2.0])

@@ -185,6 +185,11 @@ def test_an_inversion_of_a_texture(client):
     one = client.invert("better", texture[2, 3, 1], 0.5, g=0.8)
     assert one.sigma_a.shape == ()
     assert one.sigma_a == found.sigma_a[2, 3, 1] and one.sigma_s == found.sigma_s[2, 3, 1]
+    for off in (found.sigma_a_error / found.sigma_a, found.sigma_s_error / found.sigma_s):
+        assert (0 < off).all() and (off < 1e-12).all()
+    truth = client.eval("transport", found.media[2, 3], [], wanted=["albedo"])
+    off = found.albedo[2, 3] / truth.albedo - 1
+    assert (abs(abs(off) - found.model_error[2, 3]) < 1e-5).all()
     with pytest.raises(dipole.ArgumentError, match="albedo, length"):
         client.invert("better", [0.1, 0.2], [1.0, 2.0, 3.0])
     with pytest.raises(dipole.ArgumentError, match="length paths"):
@@ -203,6 +208,10 @@ def test_an_inversion_means_what_varying_means(client, light, specular):
     for name in ("sigma_a", "sigma_s"):
         assert np.allclose(getattr(found, name), other.coefficients[name], rtol=1e-3, atol=0)
     assert (found.albedo_least > 0.02) == specular
+    assert (found.model_error == 0).all()
+    for name in ("sigma_a", "sigma_s"):  # as far apart as albedos that differ by their error
+        share = getattr(found, name + "_error") / getattr(found, name)
+        assert (1e-14 < share).all() and (share < 1e-4).all()
 
 
 def test_a_dipole_knows_no_diffuse_light(client):

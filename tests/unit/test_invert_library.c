@@ -30,16 +30,18 @@ typedef struct invert_script {
   void (*spoil)(wire_invert_reply *fixed, size_t *bytes); /* changes the last part, unless NULL */
 } invert_script;
 
-/* Sends a part with made-up media: sigma_a is the wanted albedo, sigma_s the length, and the albedo
- * is 2 sigma_a. */
+/* Sends a part with made-up media: sigma_a is the wanted albedo, sigma_s the length, the albedo is
+ * 2 sigma_a, and the errors are 3, 4 and 5 sigma_a. */
 static bool send_part(int fd, const peer_frame *frame, const double *request,
                       wire_invert_reply fixed, const invert_script *script) {
   uint8_t payload[PAYLOAD_MAX] = {0};
   size_t bytes = (size_t)schema_bytes(&schema_invert_reply, &fixed);
   for (uint64_t i = 0; i < fixed.count; i++) {
     const uint64_t at = (fixed.first + i) % MEDIA; /* A wrong part may have too many. */
-    const double albedo = request[at], values[] = {albedo, request[MEDIA + at], 2 * albedo};
-    for (size_t a = 0; a < 3; a++) {
+    const double albedo = request[at];
+    const double values[] = {albedo,     request[MEDIA + at], 2 * albedo,
+                             3 * albedo, 4 * albedo,          5 * albedo};
+    for (size_t a = 0; a < 6; a++) {
       memcpy(payload + WIRE_BYTES_invert_reply + (a * fixed.count + i) * sizeof(double), &values[a],
              sizeof(double));
     }
@@ -68,6 +70,7 @@ static bool answer_invert(int fd, const peer_frame *frame, const invert_script *
     const wire_invert_reply fixed = {.model = request.model,
                                      .moments = request.moments,
                                      .given = request.given,
+                                     .errors = request.errors,
                                      .part = part,
                                      .part_count = parts,
                                      .count = script->counts[part],
@@ -104,6 +107,9 @@ static void assert_inversion(const dipole_inversion *inversion, uint64_t missing
   assert_memory_equal(inversion->sigma_s_per_mm, lengths_mm, sizeof lengths_mm);
   for (size_t i = 0; i < MEDIA; i++) {
     assert_true(inversion->albedos[i] == 2 * albedos[i]);
+    assert_true(inversion->sigma_a_errors_per_mm[i] == 3 * albedos[i]);
+    assert_true(inversion->sigma_s_errors_per_mm[i] == 4 * albedos[i]);
+    assert_true(inversion->model_errors[i] == 5 * albedos[i]);
   }
 }
 
@@ -140,6 +146,10 @@ static void another_model(wire_invert_reply *fixed, size_t *bytes) {
   (void)bytes;
   fixed->model++;
 }
+static void no_errors(wire_invert_reply *fixed, size_t *bytes) {
+  fixed->errors = 0;
+  *bytes -= 3 * fixed->count * sizeof(double);
+}
 static void too_many_missing(wire_invert_reply *fixed, size_t *bytes) {
   (void)bytes;
   fixed->missing_count = fixed->count + 1;
@@ -148,7 +158,7 @@ static void too_many_missing(wire_invert_reply *fixed, size_t *bytes) {
 /* test_messages.py tells lies about the numbers of parts. */
 UNIT_TEST(inversions_with_another_shape_end_the_connection) {
   void (*const spoilers[])(wire_invert_reply *, size_t *) = {another_reach, another_model,
-                                                             too_many_missing};
+                                                             no_errors, too_many_missing};
   for (size_t i = 0; i < sizeof spoilers / sizeof spoilers[0]; i++) {
     run_invert((invert_script){.counts = {3, 4}, .spoil = spoilers[i]}, false, 0);
   }

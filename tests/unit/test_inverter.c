@@ -190,7 +190,7 @@ static unsigned probe_to_the_end(core_inverter *inverter) {
     albedo = albedo_of(inverter->model, inverter->moments, &inverter->medium);
     probes++;
     assert_true(probes <= PROBES_MOST);
-  } while (!core_inverter_take(inverter, albedo));
+  } while (!core_inverter_take(inverter, albedo, 0));
   return probes;
 }
 
@@ -297,7 +297,7 @@ UNIT_TEST(what_there_is_not_is_not_found) {
   const double others[] = {1e-9, (double)NAN};
   for (size_t i = 0; i < 2; i++) {
     assert_false(core_inverter_seek(&inverter, 0, CORE_LENGTH_FREE_PATH, 1));
-    assert_true(core_inverter_take(&inverter, others[i]));
+    assert_true(core_inverter_take(&inverter, others[i], 0));
     assert_false(inverter.found);
   }
   /* Without absorption, both diffuse lengths are infinite. */
@@ -334,6 +334,61 @@ UNIT_TEST(colours_of_diffuse_light_are_inverted) {
                     "light", 0);
 }
 
+/* An albedo that is inverted by hand: (1 - s) / (1 + 2 s), with s^2 the share sigma_a / sigma_t' of a
+ * medium. Its slope is -1/2 in the logarithms at the bright end and -1 at the dark one. */
+static double made_up_albedo(const core_medium *medium, double off) {
+  const double sigma_t_prime = medium->sigma_a_per_mm + medium->sigma_s_per_mm * (1 - medium->g);
+  const double s = sqrt(medium->sigma_a_per_mm / sigma_t_prime);
+  return (1 - s) / (1 + 2 * s) * (1 + off);
+}
+
+static core_medium made_up_medium(const core_inverter *inverter, double albedo) {
+  const double s = (1 - albedo) / (1 + 2 * albedo), a = s * s, g = inverter->g;
+  const double path = inverter->length == CORE_LENGTH_DIFFUSE ? sqrt(3 * a / (1 + a)) : 1;
+  const double sigma_t_prime = 1 / (path * inverter->length_mm);
+  return (core_medium){a * sigma_t_prime, (1 - a) * sigma_t_prime / (1 - g), g, inverter->eta, 0};
+}
+
+/* The albedos are off by as much as they say, which spoils the coefficients: the stated errors hold,
+ * and are at most 2.1 times what they have to be. */
+UNIT_TEST(errors_of_coefficients_are_those_of_the_albedo) {
+  static const double albedos[] = {1e-3, .03, .2, .5, .9, .99, .9999, 1 - 1e-6, 1};
+  static const double errors[] = {1e-12, 1e-6, 1e-3};
+  unsigned infinite = 0;
+  for (unsigned i = 0; i < 9 * 3 * 2 * 2; i++) {
+    const double wanted = albedos[i % 9], error = errors[i / 9 % 3],
+                 off = i / 27 % 2 ? error : -error;
+    const enum core_length length = i / 54 ? CORE_LENGTH_DIFFUSE : CORE_LENGTH_FREE_PATH;
+    core_inverter inverter;
+    unit_assert_fault(
+        core_inverter_start(&inverter, CORE_MODEL_BETTER, CORE_MOMENTS_EXACT, 0, false, .5, 1.4, 1),
+        NULL, 0);
+    inverter.finds_errors = true;
+    while (!core_inverter_take(&inverter, made_up_albedo(&inverter.medium, off), error)) {
+    }
+    if (core_inverter_seek(&inverter, wanted, length, 2)) {
+      continue; /* brighter than the albedo that is too dark */
+    }
+    while (!core_inverter_take(&inverter, made_up_albedo(&inverter.medium, off), error)) {
+    }
+    if (!inverter.found) {
+      assert_true(length == CORE_LENGTH_DIFFUSE && wanted >= 1 - error);
+      continue;
+    }
+    const core_medium truth = made_up_medium(&inverter, wanted);
+    const double stated[] = {inverter.sigma_a_error_per_mm, inverter.sigma_s_error_per_mm};
+    const double value[] = {truth.sigma_a_per_mm, truth.sigma_s_per_mm};
+    const double off_by[] = {fabs(inverter.medium.sigma_a_per_mm - value[0]),
+                             fabs(inverter.medium.sigma_s_per_mm - value[1])};
+    for (int k = 0; k < 2 && value[1] < INFINITY; k++) {
+      assert_true(off_by[k] <= stated[k] * (1 + 1e-9));
+      assert_true(wanted > .9 || stated[k] <= 2.1 * off_by[k] + 1e-14 * value[k]);
+    }
+    infinite += isinf(stated[1]);
+  }
+  assert_true(infinite > 0); /* next to white, nothing limits sigma_s of a diffuse length */
+}
+
 /* Every way in which a model may leave out what is not the albedo. */
 UNIT_TEST(an_albedo_by_itself_has_the_bits_of_a_profile) {
   static const core_medium media[] = {{.05, 9.5, .9, 1.4}, {.3, 1, 0, 1.3},   {1e-13, 1, .3, 1.5},
@@ -342,20 +397,21 @@ UNIT_TEST(an_albedo_by_itself_has_the_bits_of_a_profile) {
   const core_parameters none = core_parameters_none();
   for (const core_choice *model = core_models; model->name != NULL; model++) {
     for (size_t i = 0; i < sizeof media / sizeof media[0]; i++) {
-      double albedo = 0;
+      double albedo, error;
       core_profile profile;
       if (!unit_is_long() &&
           core_prepares_slowly(model->id, CORE_EVALUATOR_F64, &media[i], &none)) {
         continue;
       }
       const core_fault fault = core_albedo(core_isa_select(NULL), model->id, CORE_MOMENTS_EXACT,
-                                           CORE_LIGHT_BEAM, &media[i], &albedo);
+                                           CORE_LIGHT_BEAM, &media[i], &albedo, &error);
       const core_fault whole =
           core_profile_prepare(&profile, core_isa_select(NULL), model->id, CORE_MOMENTS_EXACT,
                                CORE_EVALUATOR_F64, &media[i], NULL);
       unit_assert_fault(fault, whole.field, whole.index);
       if (whole.field == NULL) {
         assert_memory_equal(&albedo, &profile.albedo, sizeof albedo);
+        assert_true(error == profile.numerical_errors[CORE_ERROR_BANDS]);
         core_profile_free(&profile);
       } else {
         assert_true(isnan(albedo));

@@ -41,7 +41,7 @@ async def invert(
     with naming("albedo, length"):
         albedos, lengths = np.broadcast_arrays(np.asarray(albedo, "<f8"), np.asarray(length, "<f8"))
     ids = ids_of(info, model=model, moments=moments, length=given, light=light)
-    same = {"given": ids.pop("length"), "model": ids["model"], "moments": ids["moments"]}
+    same = {"given": ids.pop("length"), "model": ids["model"], "moments": ids["moments"], "errors": 2}
     fixed = {"specular": bool(specular), "g": float(g), "eta": float(eta), **ids, **same}
     payload = wire.PAYLOADS["invert_request"].pack(
         fixed, albedo=albedos.tobytes(), length=lengths.tobytes()
@@ -51,14 +51,12 @@ async def invert(
         reach, *others = {(one.albedo_least, one.albedo_most) for one in whole.replies}
         if others:
             raise ProtocolError("parts of an invert reply that do not belong together")
-        sigma_a, sigma_s, found = (one.reshape(albedos.shape) for one in whole.arrays.values())
+        made: dict[str, Any] = {name: one.reshape(albedos.shape) for name, one in whole.arrays.items()}
+        made |= names_of_ids(info, ids, "model", "moments")
         return Inversion(
-            **names_of_ids(info, ids, "model", "moments"),
-            sigma_a=sigma_a,
-            sigma_s=sigma_s,
+            **made,
             g=float(g),
             eta=float(eta),
-            albedo=found,
             albedo_least=reach[0],
             albedo_most=reach[1],
             missing=sum(one.missing_count for one in whole.replies),

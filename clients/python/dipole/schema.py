@@ -67,9 +67,9 @@ offer: u16 model, u16 evaluator, u32 meets, f64 error, f64 numerical_error, f64 
 sample_request: u16 model, u16 evaluator, u16 moments, u16 draw, u32 wanted, u32 medium_count,
     u64 sample_count, u64 sample_first, u64 seed, u32 layer_count, u32 parameter_count
 invert_request: u16 model, u16 moments, u16 given, u16 light, u32 medium_count, u16 specular,
-    u16 zero, f64 g, f64 eta
+    u16 errors, f64 g, f64 eta
 invert_reply: u32 part, u32 part_count, u64 first, u64 count, u16 model, u16 moments, u16 given,
-    u16 zero, u64 missing_count, f64 albedo_least, f64 albedo_most
+    u16 errors, u64 missing_count, f64 albedo_least, f64 albedo_most
 fit_request: u64 set_count, u16 residuals, u16 zero, u32 zero_too
 fit_design: u16 model, u16 moments, u16 axis, u16 scale, u32 reading_count, u16 parameter_count,
     u16 zero, f64 g, f64 eta, f64 thickness
@@ -142,7 +142,9 @@ offers_reply: offers_reply; offer offers[count]
 sample_request: sample_request; medium medium[layer_count*medium_count];
     parameter parameter[parameter_count]; real u[sample_count] if draw is 1
 invert_request: invert_request; f64 albedo[medium_count]; f64 length[medium_count]
-invert_reply: invert_reply; f64 sigma_a[count]; f64 sigma_s[count]; f64 albedo[count]
+invert_reply: invert_reply; f64 sigma_a[count]; f64 sigma_s[count]; f64 albedo[count];
+    f64 sigma_a_error[count] unless errors is 0; f64 sigma_s_error[count] unless errors is 0;
+    f64 model_error[count] if errors is 2
 fit_request: fit_request; fit_design; parameter parameter[parameter_count];
     medium reference if scale is 3; f64 at[reading_count]; f64 source[reading_count];
     f64 detector[reading_count]; f64 values[reading_count*set_count];

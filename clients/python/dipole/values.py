@@ -409,6 +409,9 @@ class Inversion:
     albedo_least: float  # the least albedo that media of this g and eta have under the model
     albedo_most: float  # the largest one
     missing: int  # number of media that are NaN
+    sigma_a_error: Array  # 1/mm: the most by which sigma_a is off the model's exact formula
+    sigma_s_error: Array  # 1/mm
+    model_error: Array  # how far the albedo is from transport's, relative; NaN: unknown
 
     @property
     def media(self) -> Array:
