@@ -56,11 +56,11 @@ if command -v $cross >/dev/null 2>&1 && command -v qemu-aarch64 >/dev/null 2>&1;
     CORE_LIBS="$build/aarch64/cminpack.o" LDFLAGS=-static "$build/aarch64/tests/bits"
   # An emulated processor takes minutes: portable kernels, the same source for both precisions, are
   # asked in one.
-  for part in neon.kernels neon.others portable.f64; do
+  for part in neon.kernels neon.solutions neon.others portable.f64; do
     qemu-aarch64 "$build/aarch64/tests/bits" ${part%.*} ${part#*.} | common >"$build/bits/aarch64-$part" &
   done
   wait
-  cat "$build/bits/aarch64-neon.kernels" "$build/bits/aarch64-neon.others" >"$build/bits/aarch64-neon"
+  (cd "$build/bits" && cat aarch64-neon.kernels aarch64-neon.solutions aarch64-neon.others) >"$build/bits/aarch64-neon"
   same "aarch64 neon" $record $record "$build/bits/aarch64-neon"
   awk 'NF == 5 && $2 == "f64"' $record >"$build/bits/f64"
   same "aarch64 portable" "that in double precision" "$build/bits/f64" "$build/bits/aarch64-portable.f64"

@@ -4,7 +4,7 @@
  * the recorded bits says which and why. Each kernel also evaluates its values again in slices of any
  * length, at any alignment and in any lane, whatever stands beside: the program fails if one has
  * another bit. PART is a part of the groups, for machines that are emulated: kernels (the models' and
- * those of media that vary), f64 (double precision of the models alone), or others.
+ * those of media that vary), f64 (double precision of the models alone), solutions or others.
  */
 #include <assert.h>
 #include <float.h>
@@ -819,7 +819,8 @@ int main(int argc, char **argv) {
     print_varying(isa, varied[i], CORE_EVALUATOR_F64);
     print_varying(isa, varied[i], CORE_EVALUATOR_F32);
   }
-  for (const core_choice *model = core_models; part != 'o' && model->name != NULL; model++) {
+  for (const core_choice *model = core_models; strchr("akf", part) && model->name != NULL;
+       model++) {
     const bool all_moments = model->id == CORE_MODEL_CLASSICAL || model->id == CORE_MODEL_BETTER;
     for (const core_choice *evaluator = core_evaluators; evaluator->name != NULL; evaluator++) {
       for (const core_choice *moments = core_moments_list; moments->name != NULL; moments++) {
@@ -836,8 +837,10 @@ int main(int argc, char **argv) {
       print_inversions(model);
     }
   }
-  if (strchr("ao", part) != NULL) {
+  if (strchr("as", part) != NULL) {
     print_answers(isa);
+  }
+  if (strchr("ao", part) != NULL) {
     print_grids();
     print_walks(isa);
     print_gathered(isa);

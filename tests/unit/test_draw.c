@@ -105,23 +105,3 @@ UNIT_TEST(no_number_is_1) {
   assert_true(u < 1 && u > 1 - 1e-15);
   assert_true(u_f32 == 1 - FLT_EPSILON / 2);
 }
-
-/* The moments of random numbers are those of uniform ones, within five standard errors. */
-UNIT_TEST(random_numbers_are_uniform) {
-  enum { MANY = 100000 };
-  static double u[MANY];
-  for (uint64_t seed = 1; seed <= 5; seed++) {
-    const core_draw draw = {CORE_DRAW_RANDOM, MANY, 0, seed};
-    double sum = 0, squares = 0, products = 0;
-    core_draw_f64(&draw, 0, MANY, u);
-    for (size_t i = 0; i < MANY; i++) {
-      sum += u[i] - 0.5;
-      squares += u[i] * u[i] - 1.0 / 3;
-      products += (u[i] - 0.5) * (u[(i + 1) % MANY] - 0.5);
-    }
-    const double error = 5 * sqrt(MANY);
-    assert_true(fabs(sum) < error * sqrt(1.0 / 12));
-    assert_true(fabs(squares) < error * sqrt(4.0 / 45));
-    assert_true(fabs(products) < error / 12);
-  }
-}
