@@ -312,24 +312,6 @@ def raw(daemon) -> socket.socket:
     return socket.create_connection((host, int(port)), TIMEOUT_S)
 
 
-NONSENSE = [b"nonsense\r\n\r\n", b"\0" * 1000, b"GET /metrics HTTP/9.9\r\n\r\n"]
-
-
-@pytest.mark.parametrize("sent", NONSENSE, ids=["text", "zeros", "version"])
-def test_nonsense_is_refused(watched, sent):
-    with raw(watched) as one:
-        one.sendall(sent)
-        one.shutdown(socket.SHUT_WR)
-        answer = b""
-        try:
-            while some := one.recv(65536):
-                answer += some
-        except ConnectionResetError:
-            pass
-    assert b" 200 " not in answer.split(b"\r\n")[0]
-    assert fetch(watched, "/healthz")[0] == 200
-
-
 def test_stop_while_scrapes_hang(watched):
     hanging = [raw(watched) for _ in range(10)]
     for i, one in enumerate(hanging):
