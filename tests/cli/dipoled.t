@@ -72,7 +72,9 @@ $ for one in nonsense '' http://localhost:80 unix: unix:/no/such/folder/s "unix:
 ! dipoled: cannot listen at unix:/no/such/folder/s: No such file or directory
 ! dipoled: cannot listen at unix:/xxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxx: the path is empty or longer than a socket's path may be (107 bytes)
 
-$ for one in '' 127.0.0.1 127.0.0.1: 127.0.0.1:65536 127.0.0.1:-1 127.0.0.1:port :0 256.1.1.1:0; do dipoled --listen "tcp:$one" || echo $?; done
+$ for one in '' 127.0.0.1 127.0.0.1: 127.0.0.1:65536 127.0.0.1:-1 127.0.0.1:port :0 256.1.1.1:0 "$(printf '1%.0s' $(seq 255)):0" "$(printf '1%.0s' $(seq 256)):0"; do dipoled --listen "tcp:$one" || echo $?; done
+1
+1
 1
 1
 1
@@ -89,6 +91,8 @@ $ for one in '' 127.0.0.1 127.0.0.1: 127.0.0.1:65536 127.0.0.1:-1 127.0.0.1:port
 ! dipoled: cannot listen at tcp:127.0.0.1:port: the port, behind the last colon, has to be a number from 0 to 65535
 ! dipoled: cannot listen at tcp::0: write a host and a port, as in 127.0.0.1:4817 or [::1]:4817
 ! dipoled: cannot listen at tcp:256.1.1.1:0: no host has this name
+! dipoled: cannot listen at tcp:111111111111111111111111111111111111111111111111111111111111111111111111111111111111111111111111111111111111111111111111111111111111111111111111111111111111111111111111111111111111111111111111111111111111111111111111111111111111111111111111111111111111111:0: no host has this name
+! dipoled: cannot listen at tcp:1111111111111111111111111111111111111111111111111111111111111111111111111111111111111111111111111111111111111111111111111111111111111111111111111111111111111111111111111111111111111111111111111111111111111111111111111111111111111111111111111111111111111111:0: write a host and a port, as in 127.0.0.1:4817 or [::1]:4817
 
 $ for one in x -1 '' 999 1 0x3; do dipoled --fd "$one" || echo $?; done
 1

@@ -341,11 +341,11 @@ $ dipole eval --sigma-a 0.032 --sigma-s 0.74 --model better --r 1 --tolerance 2
 ? 1
 
 $ dipole eval --sigma-a 0.032 --sigma-s 0.74 --g 0.5 --r 1 --model single,better,classical | grep note
-model      channel  sigma_a  sigma_s    g  eta     albedo    numerical error  model error  evaluator       notes
+model      channel  sigma_a  sigma_s    g  eta     albedo  numerical error  model error  evaluator       notes
 note: similarity: g is not 0: the model uses isotropic scattering with sigma_s (1 - g)
 
 $ dipole eval --sigma-a 0.032 --sigma-s 0.74 --g 0.5 --r 1 --model better | grep note
-model   channel  sigma_a  sigma_s    g  eta    albedo    numerical error  model error  evaluator       notes
+model   channel  sigma_a  sigma_s    g  eta    albedo  numerical error  model error  evaluator       notes
 note: similarity: g is not 0: the model uses isotropic scattering with sigma_s (1 - g)
 
 ## Errors: not solved, and what diverges at r = 0.

@@ -12,7 +12,7 @@ $ dipole fit skin.csv --model better --eta 1.4
 model better, moments exact, scale absolute
 
 sample  sigma_a  sigma_s'  error of a  error of s'   a by g  s' by g  correlation      chi2  readings  model error  g   g from  g sides  eta  status
-           1/mm      1/mm        1/mm         1/mm     1/mm     1/mm                                      relative                                  
+           1/mm      1/mm        1/mm         1/mm     1/mm     1/mm                                      relative
 ------  -------  --------  ----------  -----------  -------  -------  -----------  --------  --------  -----------  -  -------  -------  ---  ------
 skin       0.05         1      0.0006       0.0052  1.4e-17  2.2e-16        0.335  2.12e-23         4    not known  0  default     both  1.4  fitted
 
@@ -92,7 +92,7 @@ $ sed '1s/$/,detector_na/; 2,$s/$/,0.3/' skin.csv | dipole fit --model better --
 model better, moments exact, scale absolute
 
 sample  sigma_a  sigma_s'  error of a  error of s'  a by g  s' by g  correlation  chi2  readings  model error  g   g from  g sides  eta   status
-           1/mm      1/mm        1/mm         1/mm    1/mm     1/mm                                  relative                                   
+           1/mm      1/mm        1/mm         1/mm    1/mm     1/mm                                  relative
 ------  -------  --------  ----------  -----------  ------  -------  -----------  ----  --------  -----------  -  -------  -------  ---  -------
 skin          -         -           -            -       -        -            -     -         4    not known  0  default     none  1.4  refused
 

@@ -4,20 +4,20 @@ Monte Carlo, ended by photons, photons 20480, error of the total R 0.0056, large
 
 skin1, channel red, sigma_a 0.032, sigma_s 0.74, g 0, eta 1.3, seed 1, photons 20480
 
-albedo         quantity  from  to         value    error  relative  photons
+albedo    quantity       from  to         value    error  relative  photons
                            mm  mm        1/mm^2   1/mm^2
 --------  -------------  ----  --  ------------  -------  --------  -------
-0.958549              R     0   1   4.56523e-02  1.9e-04    0.42 %     3328
-0.958549              R     1   2   8.88924e-03  1.4e-04     1.6 %     2266
-0.958549              R     2   3   3.67740e-03  6.7e-05     1.8 %     1772
-0.958549              R     3   4   1.95821e-03  8.5e-05     4.3 %     1454
-0.958549        R_total             4.35942e-01  2.4e-03    0.56 %
+0.958549  R                 0   1   4.56523e-02  1.9e-04    0.42 %     3328
+0.958549  R                 1   2   8.88924e-03  1.4e-04     1.6 %     2266
+0.958549  R                 2   3   3.67740e-03  6.7e-05     1.8 %     1772
+0.958549  R                 3   4   1.95821e-03  8.5e-05     4.3 %     1454
+0.958549  R_total                   4.35942e-01  2.4e-03    0.56 %
 0.958549  R_unscattered             0.00000e+00  0.0e+00         -
-0.958549        R_under             0.00000e+00  0.0e+00         -
-0.958549         R_over             1.07914e-01  1.6e-03     1.5 %
-0.958549       absorbed             5.62546e-01  2.1e-03    0.37 %
-0.958549     unfinished             0.00000e+00  0.0e+00         -
-0.958549       roulette            -1.51178e-03  6.9e-04         -
+0.958549  R_under                   0.00000e+00  0.0e+00         -
+0.958549  R_over                    1.07914e-01  1.6e-03     1.5 %
+0.958549  absorbed                  5.62546e-01  2.1e-03    0.37 %
+0.958549  unfinished                0.00000e+00  0.0e+00         -
+0.958549  roulette                 -1.51178e-03  6.9e-04         -
 per unit of power launched: values times 1 - ((eta - 1) / (eta + 1))^2 = 0.982987 (eta 1.3)
 under, over: within the first ring's inner edge, and beyond the last ring; unscattered: at
 r = 0; unfinished: walks that were cut off; roulette: added by it, about 0. These and the

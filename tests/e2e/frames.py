@@ -152,11 +152,11 @@ def points_payload(points: Points, first: int = 0, count: int | None = None, **f
     return packed(wire.POINTS_REQUEST, fields, *lists, zeros)
 
 
-def gather_payload(points: Points, media=(SKIN,), queries=((0.0, 0.0, 1.0),), **fixed) -> bytes:
+def gather_payload(points: Points, media=(SKIN,), queries=((0.0, 0.0, 1.0),), parameters=(), **fixed) -> bytes:
     """Makes a gather request."""
-    counts = {"medium_count": len(media), "query_count": len(queries)}
+    counts = {"medium_count": len(media), "query_count": len(queries), "parameter_count": len(parameters)}
     fields = {"set": words(points.name), "tolerance": 1e-3} | counts | fixed
-    return packed(wire.GATHER_REQUEST, fields, media_bytes(media), f64_bytes(queries))
+    return packed(wire.GATHER_REQUEST, fields, media_bytes(media), parameters_bytes(parameters), f64_bytes(queries))
 
 
 def words(name: bytes) -> tuple[int, ...]:

@@ -28,8 +28,9 @@ def run(command: str, folder: Path) -> list[str]:
 
 
 def same(expected: str, line: str) -> bool:
-    """Returns whether a line is as expected."""
-    expected, line = " ".join(expected.split()), " ".join(line.split())
+    """Returns whether a line is as expected: where its numbers are those digits, its columns, too."""
+    if NUMBER.findall(expected) != NUMBER.findall(line) or "..." in expected:
+        expected, line = " ".join(expected.split()), " ".join(line.split())
     if "..." in expected:
         parts = map(re.escape, expected.split("..."))
         return re.fullmatch(".*".join(parts), line) is not None

@@ -10,7 +10,7 @@ from daemons import eventually
 from dipole import Frame, wire
 from frames import (
     EVAL, PING, SKIN, R, ask, assert_daemon_serves, assert_error, assert_serves, eval_payload, frame,
-    statistics, table_payload,
+    gather_payload, points_payload, statistics, table_payload,
 )
 from lists import EVALUATORS, MODELS, PARAMETERS
 from messages import receive_answer
@@ -130,6 +130,22 @@ def test_behind_a_request_that_takes_long(daemon):
         assert_late(replies[1], request_id=2)
         assert_late(replies[3], request_id=4)
         assert replies[4] == Frame(PONG, 5, b"any time")
+
+
+def test_behind_sums_that_wait_for_a_stack(daemon):
+    """The stack is solved for minutes. When its client leaves, nobody waits for it any more."""
+    stack = [(0.1, 10.0, 0.9, 1.4, 0.5)] * 6
+    points = dipole.Points([[0.0, 0.0, 0.0]], [1.0])
+    one = daemon()
+    with one.connect() as connection:
+        assert ask(connection, wire.MESSAGES["points"], points_payload(points)).type & wire.REPLY
+        fields = {"model": MODELS["transport"], "layer_count": 6, "medium_count": 1}
+        sums = gather_payload(points, stack, parameters=[(PARAMETERS["tolerance"].id, 1e-8)], **fields)
+        for request_id, deadline_ms in (1, 600_000), (2, 30), (3, 500_000):
+            connection.send_bytes(frame(wire.MESSAGES["gather"], request_id, sums, deadline_ms))
+        assert_late(connection.receive_frame(), request_id=2)
+    one.terminate()
+    assert one.wait() == 0
 
 
 def test_the_time_runs_from_the_arrival_behind_an_answer_in_parts(daemon):

@@ -75,6 +75,8 @@ def test_errors_end_it_early(client):
     assert both.payload == rings.payload
     short = client.mc(TISSUE, EDGES, error_rings=1e-6, photons=50_000)
     assert short.state == "photons" and short.photons == 13 * BATCH
+    with pytest.raises(dipole.ProtocolError, match="in state 99, which is not known"):
+        unpack_result(b"\x63\0" + short.payload[2:])
 
 
 # ---- progress and the end ------------------------------------------------------------------------
