@@ -208,9 +208,8 @@ WIRE_COLD static wire_error too_short(const schema_payload *payload) {
 }
 
 double schema_number_at(const schema_field *field, const void *at) {
-  uint64_t integer = 0;
+  const uint64_t integer = schema_bits_at(at, field->bytes / field->count);
   double real;
-  memcpy(&integer, at, field->bytes / field->count);
   memcpy(&real, &integer, sizeof real);
   return field->kind == SCHEMA_f64 ? real : (double)integer;
 }
@@ -254,8 +253,7 @@ static wire_error check_fields(const schema_payload *payload, const uint8_t *byt
   for (int i = 0; i < 2 && payload->structures[i] != NULL; i++) {
     for (const schema_field *field = payload->structures[i]->fields; field->name != NULL; field++) {
       const size_t field_bytes = field->bytes;
-      uint64_t bits = 0;
-      memcpy(&bits, at, field_bytes <= sizeof bits ? field_bytes : 0);
+      const uint64_t bits = schema_bits_at(at, field_bytes);
       wire_error error;
       if (!check_value(field, bits, &error)) {
         return error;
@@ -277,8 +275,7 @@ static wire_error check_fields(const schema_payload *payload, const uint8_t *byt
 /* ---- layouts --------------------------------------------------------------------------------- */
 
 static inline uint64_t number_of(const schema_number *number, const uint8_t *start) {
-  uint64_t value = 0;
-  memcpy(&value, start + number->offset, number->bytes);
+  const uint64_t value = schema_bits_at(start + number->offset, number->bytes);
   return number->mask != 0 ? schema_bit_count(value & number->mask) : value;
 }
 

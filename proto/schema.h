@@ -92,6 +92,26 @@ static inline unsigned schema_bit_count(uint64_t bits) {
   return count;
 }
 
+/* Returns up to 8 bytes as a number, or 0 in place of more. Copies of constant lengths are single
+ * instructions. */
+static inline uint64_t schema_bits_at(const void *at, size_t bytes) {
+  uint64_t bits = 0;
+  switch (bytes) {
+  case 2:
+    memcpy(&bits, at, 2);
+    break;
+  case 4:
+    memcpy(&bits, at, 4);
+    break;
+  case 8:
+    memcpy(&bits, at, 8);
+    break;
+  default:
+    memcpy(&bits, at, bytes < sizeof bits ? bytes : 0);
+  }
+  return bits;
+}
+
 /* Returns whether a field names content by its hash, two numbers; in JSON it is one text. */
 static inline bool schema_is_name(const schema_field *field) {
   return field->kind == SCHEMA_u64 && field->count == 2;

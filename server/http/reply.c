@@ -16,12 +16,6 @@ enum { NAME_DIGITS = 32 };
 
 /* ---- fields ---------------------------------------------------------------------------------- */
 
-static uint64_t get_count(const uint8_t *at, size_t bytes) {
-  uint64_t number = 0;
-  memcpy(&number, at, bytes);
-  return number;
-}
-
 /* Writes a choice by its name, or the names of a sum of choices. */
 static void write_choice(struct text *text, const schema_field *field, unsigned number) {
   const core_choice *entry = field->bits ? NULL : core_choice_by_id(field->list, number);
@@ -43,14 +37,14 @@ static void write_one(struct text *text, const char *key, enum schema_kind kind,
   if (kind == SCHEMA_f64) {
     http_text_number(text, key, schema_real_at(at, 0, false));
   } else {
-    http_text_count(text, key, get_count(at, bytes));
+    http_text_count(text, key, schema_bits_at(at, bytes));
   }
 }
 
 static void write_field(struct text *text, const schema_field *field, const uint8_t *at) {
   const size_t bytes = field->count == 1 ? field->bytes : field->bytes / field->count;
   if (field->list != NULL) {
-    write_choice(text, field, (unsigned)get_count(at, bytes));
+    write_choice(text, field, (unsigned)schema_bits_at(at, bytes));
   } else if (field->kind == SCHEMA_text) {
     char string[129];
     assert(field->count < sizeof string);
@@ -238,7 +232,7 @@ static void write_table(struct text *text, const uint8_t *payload) {
   http_text_end(text, '}');
   http_text_begin(text, "words", '[');
   for (uint32_t i = 0; i < fixed.word_count; i++) {
-    http_text_count(text, NULL, get_count(at + i * sizeof(uint32_t), sizeof(uint32_t)));
+    http_text_count(text, NULL, schema_bits_at(at + i * sizeof(uint32_t), sizeof(uint32_t)));
   }
   http_text_end(text, ']');
 }
