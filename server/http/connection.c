@@ -276,14 +276,13 @@ static void write_reply(struct http_connection *c) {
 /* Sends the reply, or the refusal, of a job that has ended. A slow reader holds its text alone. */
 static enum MHD_Result send_reply(struct http_connection *c) {
   wire_error error = c->call.error;
-  const bool refused = error.status != WIRE_STATUS_OK;
-  if (!refused) {
+  if (error.status == WIRE_STATUS_OK) {
     write_reply(c);
-    error = job_busy(); /* if writing the reply failed */
+    error = c->text.failed ? job_busy() : error;
   }
   call_drop(&c->call);
   text_trim(&c->text);
-  return refused || c->text.failed ? send_error(c, &error, 0) : send_text(c, MHD_HTTP_OK, 0);
+  return error.status != WIRE_STATUS_OK ? send_error(c, &error, 0) : send_text(c, MHD_HTTP_OK, 0);
 }
 
 /* ---- the job --------------------------------------------------------------------------------- */
