@@ -3,6 +3,7 @@
 #include <dipole.h>
 #include <math.h>
 #include <stdio.h>
+#include <stdlib.h>
 #include <string.h>
 
 enum { VALUES = 64, POINTS = 20000, QUERIES = 30000 };
@@ -40,6 +41,10 @@ static void check_surface(dipole_client *client, unsigned transport) {
   }
   CHECK(dipole_surface_fetch(client, &asked, &fetched, &error));
   const void *frame = dipole_surface_bytes(fetched, &bytes);
+  uint8_t *damaged = memcpy(malloc(bytes), frame, bytes);
+  damaged[bytes - 1] ^= 1;
+  CHECK(!dipole_surface_load(damaged, bytes, &loaded, &error) && error.kind == DIPOLE_ERROR_TABLE);
+  free(damaged);
   CHECK(dipole_surface_load(frame, bytes, &loaded, &error));
   CHECK(dipole_varying_at_home(loaded, &query, &here, &error));
   CHECK(dipole_varying(client, &query, &there, &error));

@@ -45,9 +45,9 @@ class Installed:
         return done.stdout
 
     def start(self, *command: str, folder: Path) -> subprocess.CompletedProcess[str]:
-        """Runs a command in a folder with the installed library and dipoled."""
-        path = f"{self.folder}/usr/local/bin:{os.environ['PATH']}"
-        return finished(*command, cwd=folder, env=environment(LD_LIBRARY_PATH=str(self._lib), PATH=path))
+        """Runs a command in a folder with the installed library and dipoled. Memory is not zero at first."""
+        more = {"PATH": f"{self.folder}/usr/local/bin:{os.environ['PATH']}", "MALLOC_PERTURB_": "165"}
+        return finished(*command, cwd=folder, env=environment(LD_LIBRARY_PATH=str(self._lib), **more))
 
 
 @pytest.fixture(scope="module")

@@ -229,6 +229,9 @@ def test_plain_and_tls_do_not_mix(farm, ours):
         dipole.Client(secure, retry_s=0)
     assert "is it a tls: address" in media(secure, {})
     assert farm.has_line("the peer does not speak TLS")
+    with socket.create_server(("127.0.0.1", 0)) as silent:
+        url = f"tls:127.0.0.1:{silent.getsockname()[1]}"
+        assert "TLS handshake: Connection timed out" in media(url, {"timeout-ms": "100"})
 
 
 @pytest.mark.parametrize(
