@@ -23,8 +23,8 @@ static const cli_option radii_options[] = {
     CLI_TITLE("Radii"),
     CLI_OPTION(NUMBERS, r, NULL, "these radii, mm; one may be inf"),
     CLI_EVAL_F_OPTION,
-    CLI_OPTION(NUMBER, from, "0", "the first radius of a grid, mm"),
-    CLI_OPTION(NUMBER, to, "10", "the last radius of the grid, mm"),
+    CLI_OPTION(NUMBER, from, "0", "the first radius of a grid, mm; of R_f a frequency, 1/mm"),
+    CLI_OPTION(NUMBER, to, "10", "the last radius of the grid, or frequency"),
     CLI_OPTION(COUNT, count, "21", "how many radii the grid has"),
     CLI_OPTION(SWITCH, log, NULL,
                "make the ratios between radii equal instead of the steps; needs --from"),
@@ -172,8 +172,11 @@ static bool take_quantities(const cli_settings *settings, cli_eval_report *repor
   }
   const bool by_f = core_is_at_frequencies(report->quantities.wanted);
   report->place = by_f ? "f" : "r";
-  if (at_f && !by_f) {
-    return cli_fails_usage("--f gives spatial frequencies: request what ends with _f alone");
+  if ((at_f || (report->quantities.wanted & CORE_AT_FREQUENCIES) != 0) &&
+      (!by_f || settings->r.count > 0)) {
+    return cli_fails_usage(
+        "what ends with _f is at the spatial frequencies of --f, all else at the "
+        "radii of --r: request one of both");
   }
   return true;
 }
@@ -446,11 +449,11 @@ static void put_errors_of(cli_rows *rows, const cli_eval_report *report,
 }
 
 /* Writes the errors of a model and channel; in a table those of all radii, else those at r_mm. Those
- * of each quantity follow if several have values at places, and stand alone in a table. */
+ * of each quantity follow if there are several, and stand alone in a table. */
 static void put_errors(cli_rows *rows, const cli_eval_report *report, const cli_eval_values *values,
                        double r_mm) {
   const cli_quantities *quantities = &report->quantities;
-  const unsigned beside = CLI_OF_CHANNEL | DIPOLE_RADIUS | DIPOLE_MODEL_ERRORS;
+  const unsigned beside = DIPOLE_BALANCE | DIPOLE_RADIUS | DIPOLE_MODEL_ERRORS;
   const bool several = __builtin_popcount(quantities->wanted & ~beside) > 1;
   put_errors_of(rows, report, &values->errors, r_mm, several ? CLI_IN_CSV | CLI_IN_JSON : 0, "");
   for (size_t q = 0; several && q < quantities->count; q++) {
@@ -638,9 +641,6 @@ static void write_report(const cli_eval_report *report, enum cli_form form) {
 /* ---- the command ----------------------------------------------------------------------------- */
 
 int cli_eval_check(cli_settings *settings) {
-  if (settings->f.count > 0 && settings->r.count > 0) {
-    return cli_fail_usage("--f is for what ends with _f, and --r for all else: leave one out");
-  }
   const bool at_f = settings->f.count > 0;
   if (settings->mci != NULL) {
     return settings->not_for_mci == NULL

@@ -923,9 +923,10 @@ static int take_quantities(points_run *points) {
     return cli_fail_usage("--wanted balance: rows have no room for its shares; use dipole eval");
   }
   points->by_f = core_is_at_frequencies(points->quantities.wanted);
-  if (settings->f.count > 0 && (settings->r.count > 0 || !points->by_f)) {
-    return cli_fail_usage(
-        "--f gives spatial frequencies, which only R_f has: request R_f alone, without --r");
+  if ((settings->f.count > 0 || (points->quantities.wanted & CORE_AT_FREQUENCIES) != 0) &&
+      (settings->r.count > 0 || !points->by_f)) {
+    return cli_fail_usage("what ends with _f is at the spatial frequencies of --f or a column f: "
+                          "request it alone, without --r");
   }
   points->radii = settings->f.count > 0 ? &settings->f : &settings->r;
   points->radius_count = has_radii(points) ? points->radii->count : 1;

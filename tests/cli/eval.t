@@ -10,15 +10,16 @@ mm      1/mm^2      1/mm^2      1/mm^2      1/mm^2      1/mm^2      1/mm^2
  5  8.0218e-04  1.0260e-04  2.9839e-06  9.6938e-04  1.3361e-04  5.8228e-06
 10  7.4269e-05  1.0322e-06  7.6634e-10  8.4214e-05  1.6231e-06  3.6897e-09
 
-model      channel  sigma_a  sigma_s  g  eta     albedo  numerical error  model error  evaluator  notes
+                                                                       R            R           albedo       albedo
+model      channel  sigma_a  sigma_s  g  eta     albedo  numerical error  model error  numerical error  model error  evaluator  notes
                        1/mm     1/mm                  1
----------  -------  -------  -------  -  ---  ---------  ---------------  -----------  ---------  -----
-classical  red        0.032     0.74  0  1.3   0.436049          7.2e-15      6.4e-02        f64
-classical  green       0.17     0.88  0  1.3   0.227366          1.6e-14      3.5e-01        f64
-classical  blue        0.48     1.01  0  1.3    0.13101          3.0e-14      8.2e-01        f64
-better     red        0.032     0.74  0  1.3   0.404808          7.1e-15      1.6e-01        f64
-better     green       0.17     0.88  0  1.3   0.162793          1.5e-14      2.4e-01        f64
-better     blue        0.48     1.01  0  1.3  0.0701464          2.6e-14      3.9e-01        f64
+---------  -------  -------  -------  -  ---  ---------  ---------------  -----------  ---------------  -----------  ---------  -----
+classical  red        0.032     0.74  0  1.3   0.436049          7.2e-15      6.4e-02          2.4e-15      7.8e-03        f64
+classical  green       0.17     0.88  0  1.3   0.227366          1.6e-14      3.5e-01          3.0e-15      6.6e-02        f64
+classical  blue        0.48     1.01  0  1.3    0.13101          3.0e-14      8.2e-01          3.5e-15      1.3e-01        f64
+better     red        0.032     0.74  0  1.3   0.404808          7.1e-15      1.6e-01          2.4e-15      7.9e-02        f64
+better     green       0.17     0.88  0  1.3   0.162793          1.5e-14      1.5e-01          2.9e-15      2.4e-01        f64
+better     blue        0.48     1.01  0  1.3  0.0701464          2.6e-14      1.3e-01          3.3e-15      3.9e-01        f64
 numerical error: at most, against the model's formula, at r = 0 to 10 mm
 model error: the largest, of the model against radiative transport, at r > 0: transport diverges at r = 0
 errors are relative, but of ln R, its derivatives, paths and modulated light absolute, as the
@@ -26,25 +27,25 @@ cdf's model error is, and of R_f over the albedo
 per unit of power launched: values times 1 - ((eta - 1) / (eta + 1))^2 = 0.982987 (eta 1.3)
 
 $ dipole eval --medium skin1 --model classical,better --count 3 --format csv
-model,channel,sigma_a,sigma_s,g,eta,r,R,albedo,numerical_error,model_error,evaluator,notes
-classical,red,0.032,0.74,0,1.3,0,0.04443318995075527,0.4360488981000882,2.402764671015483e-15,0.06360699167201968,f64,
-classical,red,0.032,0.74,0,1.3,5,8.021768997285513e-4,0.4360488981000882,4.820698901050279e-15,0.06360699167201968,f64,
-classical,red,0.032,0.74,0,1.3,10,7.426864799726663e-5,0.4360488981000882,7.238633131085076e-15,0.06360699167201968,f64,
-classical,green,0.17,0.88,0,1.3,0,0.0628256755210193,0.22736553703849327,3.0143568573442707e-15,0.3533445013949795,f64,
-classical,green,0.17,0.88,0,1.3,5,1.026028965955413e-4,0.22736553703849327,9.513856951550377e-15,0.3533445013949795,f64,
-classical,green,0.17,0.88,0,1.3,10,1.0322313668903495e-6,0.22736553703849327,1.6013357045756483e-14,0.3533445013949795,f64,
-classical,blue,0.48,1.01,0,1.3,0,0.08925790330539174,0.13100973315918066,3.5226547094830505e-15,0.8178200866860671,f64,
-classical,blue,0.48,1.01,0,1.3,5,2.9838634267783284e-6,0.13100973315918066,1.6532573841599908e-14,0.8178200866860671,f64,
-classical,blue,0.48,1.01,0,1.3,10,7.663392932602495e-10,0.13100973315918066,2.954249297371676e-14,0.8178200866860671,f64,
-better,red,0.032,0.74,0,1.3,0,0.026396169457422243,0.4048076115742095,2.3901722738496005e-15,0.1577593988431819,f64,
-better,red,0.032,0.74,0,1.3,5,9.693772895059612e-4,0.4048076115742095,4.7594998508240916e-15,0.1577593988431819,f64,
-better,red,0.032,0.74,0,1.3,10,8.421414694343739e-5,0.4048076115742095,7.128827427798584e-15,0.1577593988431819,f64,
-better,green,0.17,0.88,0,1.3,0,0.03013512264367322,0.16279293241527554,2.9248684373814938e-15,0.23664452963700927,f64,
-better,green,0.17,0.88,0,1.3,5,1.3361404268614279e-4,0.16279293241527554,8.954554326783023e-15,0.23664452963700927,f64,
-better,green,0.17,0.88,0,1.3,10,1.6231275856096587e-6,0.16279293241527554,1.498424021618455e-14,0.23664452963700927,f64,
-better,blue,0.48,1.01,0,1.3,0,0.033296263024003805,0.0701464120117238,3.2950790537976285e-15,0.39233474881816877,f64,
-better,blue,0.48,1.01,0,1.3,5,5.822759721543044e-6,0.0701464120117238,1.4609559551058095e-14,0.39233474881816877,f64,
-better,blue,0.48,1.01,0,1.3,10,3.6896749979262757e-9,0.0701464120117238,2.592404004831856e-14,0.39233474881816877,f64,
+model,channel,sigma_a,sigma_s,g,eta,r,R,albedo,numerical_error,model_error,numerical_error_R,model_error_R,numerical_error_albedo,model_error_albedo,evaluator,notes
+classical,red,0.032,0.74,0,1.3,0,0.04443318995075527,0.4360488981000882,2.402764671015483e-15,0.06360699167201807,2.402764671015483e-15,0.06360699167201807,2.402764671015483e-15,0.007759948092650409,f64,
+classical,red,0.032,0.74,0,1.3,5,8.021768997285513e-4,0.4360488981000882,4.820698901050279e-15,0.06360699167201807,4.820698901050279e-15,0.06360699167201807,2.402764671015483e-15,0.007759948092650409,f64,
+classical,red,0.032,0.74,0,1.3,10,7.426864799726663e-5,0.4360488981000882,7.238633131085076e-15,0.06360699167201807,7.238633131085076e-15,0.06360699167201807,2.402764671015483e-15,0.007759948092650409,f64,
+classical,green,0.17,0.88,0,1.3,0,0.0628256755210193,0.22736553703849327,3.0143568573442707e-15,0.3533445013949795,3.0143568573442707e-15,0.3533445013949795,3.0143568573442707e-15,0.06615307914199564,f64,
+classical,green,0.17,0.88,0,1.3,5,1.026028965955413e-4,0.22736553703849327,9.513856951550377e-15,0.3533445013949795,9.513856951550377e-15,0.3533445013949795,3.0143568573442707e-15,0.06615307914199564,f64,
+classical,green,0.17,0.88,0,1.3,10,1.0322313668903495e-6,0.22736553703849327,1.6013357045756483e-14,0.3533445013949795,1.6013357045756483e-14,0.3533445013949795,3.0143568573442707e-15,0.06615307914199564,f64,
+classical,blue,0.48,1.01,0,1.3,0,0.08925790330539174,0.13100973315918066,3.5226547094830505e-15,0.8178200866860671,3.5226547094830505e-15,0.8178200866860671,3.5226547094830505e-15,0.13492481235703765,f64,
+classical,blue,0.48,1.01,0,1.3,5,2.9838634267783284e-6,0.13100973315918066,1.6532573841599908e-14,0.8178200866860671,1.6532573841599908e-14,0.8178200866860671,3.5226547094830505e-15,0.13492481235703765,f64,
+classical,blue,0.48,1.01,0,1.3,10,7.663392932602495e-10,0.13100973315918066,2.954249297371676e-14,0.8178200866860671,2.954249297371676e-14,0.8178200866860671,3.5226547094830505e-15,0.13492481235703765,f64,
+better,red,0.032,0.74,0,1.3,0,0.026396169457422243,0.4048076115742095,2.3901722738496005e-15,0.15775939884318416,2.3901722738496005e-15,0.15775939884318416,2.3901722738496005e-15,0.07885072820519266,f64,
+better,red,0.032,0.74,0,1.3,5,9.693772895059612e-4,0.4048076115742095,4.7594998508240916e-15,0.15775939884318416,4.7594998508240916e-15,0.15775939884318416,2.3901722738496005e-15,0.07885072820519266,f64,
+better,red,0.032,0.74,0,1.3,10,8.421414694343739e-5,0.4048076115742095,7.128827427798584e-15,0.15775939884318416,7.128827427798584e-15,0.15775939884318416,2.3901722738496005e-15,0.07885072820519266,f64,
+better,green,0.17,0.88,0,1.3,0,0.03013512264367322,0.16279293241527554,2.9248684373814938e-15,0.23664452963700927,2.9248684373814938e-15,0.1505982335834045,2.9248684373814938e-15,0.23664452963700927,f64,
+better,green,0.17,0.88,0,1.3,5,1.3361404268614279e-4,0.16279293241527554,8.954554326783023e-15,0.23664452963700927,8.954554326783023e-15,0.1505982335834045,2.9248684373814938e-15,0.23664452963700927,f64,
+better,green,0.17,0.88,0,1.3,10,1.6231275856096587e-6,0.16279293241527554,1.498424021618455e-14,0.23664452963700927,1.498424021618455e-14,0.1505982335834045,2.9248684373814938e-15,0.23664452963700927,f64,
+better,blue,0.48,1.01,0,1.3,0,0.033296263024003805,0.0701464120117238,3.2950790537976285e-15,0.39233474881816877,3.2950790537976285e-15,0.1349814847524028,3.2950790537976285e-15,0.39233474881816877,f64,
+better,blue,0.48,1.01,0,1.3,5,5.822759721543044e-6,0.0701464120117238,1.4609559551058095e-14,0.39233474881816877,1.4609559551058095e-14,0.1349814847524028,3.2950790537976285e-15,0.39233474881816877,f64,
+better,blue,0.48,1.01,0,1.3,10,3.6896749979262757e-9,0.0701464120117238,2.592404004831856e-14,0.39233474881816877,2.592404004831856e-14,0.1349814847524028,3.2950790537976285e-15,0.39233474881816877,f64,
 
 $ dipole eval --medium skin1 --channel red --r 0,1,inf --wanted R,albedo,cdf --model better,transport --format json
 {
@@ -93,21 +94,21 @@ $ dipole eval --sigma-a 0.1 --sigma-s 1 --model better --format csv | awk -F, '{
 r 0 0.5 1 1.5 2 2.5 3 3.5 4 4.5 5 5.5 6 6.5 7 7.5 8 8.5 9 9.5 10 
 
 $ dipole eval --medium marble --eta 1.2,1.3,1.5 --r 1 --format csv --model better
-model,channel,sigma_a,sigma_s,g,eta,r,R,albedo,numerical_error,model_error,evaluator,notes
-better,red,0.0021,2.19,0,1.2,1,0.05007482829194086,0.8879691096734903,2.0801925875891195e-15,0.2407985115192916,f64,
-better,green,0.0041,2.62,0,1.3,1,0.048447134610163936,0.8392773086273129,2.2167633548627504e-15,0.18545813843756898,f64,
-better,blue,0.0071,3,0,1.5,1,0.04274182810107147,0.7542858791284851,2.374719055719728e-15,0.10979533811716259,f64,
+model,channel,sigma_a,sigma_s,g,eta,r,R,albedo,numerical_error,model_error,numerical_error_R,model_error_R,numerical_error_albedo,model_error_albedo,evaluator,notes
+better,red,0.0021,2.19,0,1.2,1,0.05007482829194086,0.8879691096734903,2.0801925875891195e-15,0.24079851151929055,2.0801925875891195e-15,0.24079851151929055,1.8715404953599225e-15,0.0023343595595734404,f64,
+better,green,0.0041,2.62,0,1.3,1,0.048447134610163936,0.8392773086273129,2.2167633548627504e-15,0.18545813843756997,2.2167633548627504e-15,0.18545813843756997,1.897878462827446e-15,0.004089671466523475,f64,
+better,blue,0.0071,3,0,1.5,1,0.04274182810107147,0.7542858791284851,2.374719055719728e-15,0.10979533811716059,2.374719055719728e-15,0.10979533811716059,1.9256823407152856e-15,0.009275028690289015,f64,
 
 $ dipole eval --medium skin1 --channel blue --g 0.8 --r 1 --format csv --model better
-model,channel,sigma_a,sigma_s,g,eta,r,R,albedo,numerical_error,model_error,evaluator,notes
-better,blue,0.48,5.050000000000001,0.8,1.3,1,0.00576535423426011,0.0701464120117238,5.557975153249722e-15,0.2393951770694521,f64,similarity
+model,channel,sigma_a,sigma_s,g,eta,r,R,albedo,numerical_error,model_error,numerical_error_R,model_error_R,numerical_error_albedo,model_error_albedo,evaluator,notes
+better,blue,0.48,5.050000000000001,0.8,1.3,1,0.00576535423426011,0.0701464120117238,5.557975153249722e-15,0.23939517706945185,5.557975153249722e-15,0.014552341512742211,3.2950790537976285e-15,0.23939517706945185,f64,similarity
 
 $ dipole eval --medium marble,skin1 --channel red,blue --eta 1.1,1.2,1.3,1.4 --r 1 --format csv --model better
-model,channel,sigma_a,sigma_s,g,eta,r,R,albedo,numerical_error,model_error,evaluator,notes
-better,marble red,0.0021,2.19,0,1.1,1,0.053527813074979426,0.9020892190941748,2.0801925875891195e-15,0.28316312222320184,f64,
-better,marble blue,0.0071,3,0,1.2,1,0.0512111906873481,0.8293255231173589,2.374719055719728e-15,0.2024664201846386,f64,
-better,skin1 red,0.032,0.74,0,1.3,1,0.015481882273229152,0.4048076115742095,2.8640377892444987e-15,0.07885072820519266,f64,
-better,skin1 blue,0.48,1.01,0,1.4,1,0.004954157187455209,0.06038796649866023,5.557975153249722e-15,0.38936304598819654,f64,
+model,channel,sigma_a,sigma_s,g,eta,r,R,albedo,numerical_error,model_error,numerical_error_R,model_error_R,numerical_error_albedo,model_error_albedo,evaluator,notes
+better,marble red,0.0021,2.19,0,1.1,1,0.053527813074979426,0.9020892190941748,2.0801925875891195e-15,0.28316312222320184,2.0801925875891195e-15,0.28316312222320184,1.8715404953599225e-15,0.0021581039308645167,f64,
+better,marble blue,0.0071,3,0,1.2,1,0.0512111906873481,0.8293255231173589,2.374719055719728e-15,0.20246642018463545,2.374719055719728e-15,0.20246642018463545,1.9256823407152856e-15,0.005300591587905105,f64,
+better,skin1 red,0.032,0.74,0,1.3,1,0.015481882273229152,0.4048076115742095,2.8640377892444987e-15,0.07885072820519266,2.8640377892444987e-15,0.01398967451002485,2.3901722738496005e-15,0.07885072820519266,f64,
+better,skin1 blue,0.48,1.01,0,1.4,1,0.004954157187455209,0.06038796649866023,5.557975153249722e-15,0.38936304598819654,5.557975153249722e-15,0.2992972712541488,3.2950790537976285e-15,0.38936304598819654,f64,
 
 $ dipole eval --medium marble,skin1 --channel red,blue --eta 1,2,3
 ! dipole eval: --eta has 3 values and --medium has 4: give one value or as many
@@ -132,17 +133,17 @@ $ dipole eval --sigma-a 0.1 --sigma-s 1 --model better --wanted R --from 0.023 -
 
 ## Models are asked for once each; transport is by table, whether it is named or not.
 $ dipole eval --sigma-a 0.1 --sigma-s 1 --r 1 --model classical,better,classical --format csv
-model,channel,sigma_a,sigma_s,g,eta,r,R,albedo,numerical_error,model_error,evaluator,notes
-classical,1,0.1,1,0,1.3,1,0.023011708280071198,0.3137401295412308,3.724468258285356e-15,0.5924547482333685,f64,
-better,1,0.1,1,0,1.3,1,0.01649871428162842,0.26022500449976643,3.641531520770513e-15,0.1512791549091128,f64,
+model,channel,sigma_a,sigma_s,g,eta,r,R,albedo,numerical_error,model_error,numerical_error_R,model_error_R,numerical_error_albedo,model_error_albedo,evaluator,notes
+classical,1,0.1,1,0,1.3,1,0.023011708280071198,0.3137401295412308,3.724468258285356e-15,0.5924547482333712,3.724468258285356e-15,0.5924547482333712,2.704028943631253e-15,0.023267547277642527,f64,
+better,1,0.1,1,0,1.3,1,0.01649871428162842,0.26022500449976643,3.641531520770513e-15,0.1512791549091128,3.641531520770513e-15,0.14174295874759027,2.6645352591003757e-15,0.1512791549091128,f64,
 
 $ dipole eval --sigma-a 0.1 --sigma-s 1 --r 1 --format csv
-model,channel,sigma_a,sigma_s,g,eta,r,R,albedo,numerical_error,model_error,evaluator,notes
-transport,1,0.1,1,0,1.3,1,0.014450509,0.30660714050957727,8.405402399257857e-5,0,lut,
+model,channel,sigma_a,sigma_s,g,eta,r,R,albedo,numerical_error,model_error,numerical_error_R,model_error_R,numerical_error_albedo,model_error_albedo,evaluator,notes
+transport,1,0.1,1,0,1.3,1,0.014450509,0.30660714050957727,8.405402399277573e-5,0,8.405402399277573e-5,0,8.405402399277573e-5,0,lut,
 
 $ dipole eval --sigma-a 0.1 --sigma-s 1 --r 1 --model transport --tolerance 1e-7 --format csv
-model,channel,sigma_a,sigma_s,g,eta,r,R,albedo,numerical_error,model_error,evaluator,notes
-transport,1,0.1,1,0,1.3,1,0.014450509299045075,0.30660714050957727,3.2100000000000006e-6,0,f64,
+model,channel,sigma_a,sigma_s,g,eta,r,R,albedo,numerical_error,model_error,numerical_error_R,model_error_R,numerical_error_albedo,model_error_albedo,evaluator,notes
+transport,1,0.1,1,0,1.3,1,0.014450509299045051,0.30660714050957727,3.2100000000000006e-6,0,3.2100000000000006e-6,0,3.2100000000000006e-6,0,f64,
 
 ## Spatial frequencies are no radii.
 $ dipole eval --sigma-a 0.01 --sigma-s 10 --g 0.9 --eta 1.4 --model better --f 0.1,1
@@ -155,10 +156,11 @@ moments exact, R_f, the reflectance of striped light
  0.1     0.213234
    1  0.000351603
 
-model   channel  sigma_a  sigma_s    g  eta    albedo  numerical error  model error  evaluator       notes
+                                                                albedo       albedo              R_f          R_f
+model   channel  sigma_a  sigma_s    g  eta    albedo  numerical error  model error  numerical error  model error  evaluator       notes
                     1/mm     1/mm                   1
-------  -------  -------  -------  ---  ---  --------  ---------------  -----------  ---------  ----------
-better  1           0.01       10  0.9  1.4  0.605953          1.0e-09      3.5e-02        f64  similarity
+------  -------  -------  -------  ---  ---  --------  ---------------  -----------  ---------------  -----------  ---------  ----------
+better  1           0.01       10  0.9  1.4  0.605953          2.1e-15      2.5e-02          1.0e-09      3.5e-02        f64  similarity
 numerical error: at most, against the model's formula, at f = 0.1 to 1 1/mm
 model error: the largest, of the model against radiative transport
 errors are relative, but of ln R, its derivatives, paths and modulated light absolute, as the
@@ -166,10 +168,10 @@ cdf's model error is, and of R_f over the albedo
 per unit of power launched: values times 1 - ((eta - 1) / (eta + 1))^2 = 0.972222 (eta 1.4)
 note: similarity: g is not 0: the model uses isotropic scattering with sigma_s (1 - g)
 
-$ dipole eval --sigma-a 0.01 --sigma-s 10 --g 0.9 --eta 1.4 --model better --wanted R_f,albedo --r 0.1,1 --format csv
-model,channel,sigma_a,sigma_s,g,eta,f,albedo,R_f,numerical_error,model_error,evaluator,notes
-better,1,0.01,10,0.9,1.4,0.1,0.605952712135344,0.21323395498981187,1.0000021117684354e-9,0.03450577547108367,f64,similarity
-better,1,0.01,10,0.9,1.4,1,0.605952712135344,3.516034949555704e-4,1.0000023886886356e-9,0.03450577547108367,f64,similarity
+$ dipole eval --sigma-a 0.01 --sigma-s 10 --g 0.9 --eta 1.4 --model better --wanted R_f,albedo --f 0.1,1 --format csv
+model,channel,sigma_a,sigma_s,g,eta,f,albedo,R_f,numerical_error,model_error,numerical_error_albedo,model_error_albedo,numerical_error_R_f,model_error_R_f,evaluator,notes
+better,1,0.01,10,0.9,1.4,0.1,0.605952712135344,0.21323395498981187,1.0000021117684354e-9,0.034505775471083716,2.080999524065612e-15,0.02457925997924352,1.0000021117684354e-9,0.034505775471083716,f64,similarity
+better,1,0.01,10,0.9,1.4,1,0.605952712135344,3.516034949555704e-4,1.0000023886886356e-9,0.034505775471083716,2.080999524065612e-15,0.02457925997924352,1.0000023886886356e-9,0.034505775471083716,f64,similarity
 
 $ dipole eval --sigma-a 0.01 --sigma-s 10 --g 0.9 --eta 1.4 --model better --f 0.1 --format json
 {
@@ -178,12 +180,12 @@ $ dipole eval --sigma-a 0.01 --sigma-s 10 --g 0.9 --eta 1.4 --model better --f 0
   "R_f": "R_f, the reflectance of striped light",
   "units": {"sigma_a": "1/mm", "sigma_s": "1/mm", "f": "1/mm", "albedo": "1", "R_f": "1"},
   "rows": [
-    {"model": "better", "channel": "1", "sigma_a": 0.01, "sigma_s": 10, "g": 0.9, "eta": 1.4, "f": 0.1, "albedo": 0.605952712135344, "R_f": 0.21323395498981187, "numerical_error": 1.0000021117684354e-9, "model_error": 0.03450577547108367, "evaluator": "f64", "notes": "similarity"}
+    {"model": "better", "channel": "1", "sigma_a": 0.01, "sigma_s": 10, "g": 0.9, "eta": 1.4, "f": 0.1, "albedo": 0.605952712135344, "R_f": 0.21323395498981187, "numerical_error": 1.0000021117684354e-9, "model_error": 0.034505775471083716, "numerical_error_albedo": 2.080999524065612e-15, "model_error_albedo": 0.02457925997924352, "numerical_error_R_f": 1.0000021117684354e-9, "model_error_R_f": 0.034505775471083716, "evaluator": "f64", "notes": "similarity"}
   ]
 }
 
 $ dipole eval --sigma-a 0.01 --sigma-s 10 --f 1 --r 1 || dipole eval --sigma-a 0.01 --sigma-s 10 --f 1,-1 || dipole eval --sigma-a 0.01 --sigma-s 10 --model transport,better --wanted balance
-! dipole eval: --f is for what ends with _f, and --r for all else: leave one out
+! dipole eval: what ends with _f is at the spatial frequencies of --f, all else at the radii of --r: request one of both
 ! `dipole eval --help` says more.
 ! dipole eval: --f: -1 is no spatial frequency: give 0 or more, in 1/mm
 ! `dipole eval --help` says more.
@@ -191,7 +193,7 @@ $ dipole eval --sigma-a 0.01 --sigma-s 10 --f 1 --r 1 || dipole eval --sigma-a 0
 ? 1
 
 $ dipole eval --sigma-a 0.01 --sigma-s 10 --f 1 --wanted R
-! dipole eval: --f gives spatial frequencies: request what ends with _f alone
+! dipole eval: what ends with _f is at the spatial frequencies of --f, all else at the radii of --r: request one of both
 ! `dipole eval --help` says more.
 ? 2
 
@@ -253,12 +255,13 @@ mm      1/mm^2      1/mm^2      1/mm^2
  1  1.5701e-02  1.0142e-02  4.5069e-03
  2  5.5199e-03  2.4111e-03  5.9256e-04
 
-model      channel  sigma_a  sigma_s  g  eta    albedo  numerical error  model error  evaluator  notes
+                                                                      R            R           albedo       albedo
+model      channel  sigma_a  sigma_s  g  eta    albedo  numerical error  model error  numerical error  model error  evaluator  notes
                        1/mm     1/mm                 1
----------  -------  -------  -------  -  ---  --------  ---------------  -----------  ---------  -----
-transport  red        0.032     0.74  0  1.3  0.439458          3.3e-06      0.0e+00        f32
-transport  green       0.17     0.88  0  1.3  0.213259          3.3e-06      0.0e+00        f32
-transport  blue        0.48     1.01  0  1.3  0.115435          3.3e-06      0.0e+00        f32
+---------  -------  -------  -------  -  ---  --------  ---------------  -----------  ---------------  -----------  ---------  -----
+transport  red        0.032     0.74  0  1.3  0.439458          3.3e-06      0.0e+00          3.3e-06      0.0e+00        f32
+transport  green       0.17     0.88  0  1.3  0.213259          3.3e-06      0.0e+00          3.3e-06      0.0e+00        f32
+transport  blue        0.48     1.01  0  1.3  0.115435          3.3e-06      0.0e+00          3.3e-06      0.0e+00        f32
 numerical error: at most, against the model's formula, at r = 1 to 2 mm
 model error: the largest, of the model against radiative transport
 errors are relative, but of ln R, its derivatives, paths and modulated light absolute, as the
@@ -307,12 +310,12 @@ $ dipole eval --sigma-a 0.032 --sigma-s 0.74 --model better --r 1 --wanted S --c
 }
 
 $ dipole eval --sigma-a 0.032 --sigma-s 0.74 --model gaussians --r 1 --fit-model classical --format csv
-model,channel,sigma_a,sigma_s,g,eta,r,R,albedo,numerical_error,model_error,evaluator,notes
-gaussians,1,0.032,0.74,0,1.3,1,0.022003446135484304,0.4351174018643613,0.0016572261195275356,0.4013648964112038,f64,
+model,channel,sigma_a,sigma_s,g,eta,r,R,albedo,numerical_error,model_error,numerical_error_R,model_error_R,numerical_error_albedo,model_error_albedo,evaluator,notes
+gaussians,1,0.032,0.74,0,1.3,1,0.022003446135484304,0.4351174018643613,0.0016572261195275356,0.4013648964112026,0.0016572261195275356,0.4013648964112026,0.001657226119526083,0.009879604529169599,f64,
 
 $ dipole eval --sigma-a 0.032 --sigma-s 0.74 --model gaussians --r 1 --fit-model 1 --format csv
-model,channel,sigma_a,sigma_s,g,eta,r,R,albedo,numerical_error,model_error,evaluator,notes
-gaussians,1,0.032,0.74,0,1.3,1,0.022003446135484304,0.4351174018643613,0.0016572261195275356,0.4013648964112038,f64,
+model,channel,sigma_a,sigma_s,g,eta,r,R,albedo,numerical_error,model_error,numerical_error_R,model_error_R,numerical_error_albedo,model_error_albedo,evaluator,notes
+gaussians,1,0.032,0.74,0,1.3,1,0.022003446135484304,0.4351174018643613,0.0016572261195275356,0.4013648964112026,0.0016572261195275356,0.4013648964112026,0.001657226119526083,0.009879604529169599,f64,
 
 $ dipole eval --sigma-a 0.032 --sigma-s 0.74 --model gaussians --r 1 --fit-model best
 ! dipole eval: --fit-model: 'best' is unknown; this daemon has classical, better, grosjean, boundary, exitance, grosjean-boundary, grosjean-exitance, boundary-exitance, extended, quantized, beam, single, classical+single, better+single, extended+single, quantized+single, beam+single, burley, burley-diffuse, burley-dmfp, skin-red, skin-green, skin-blue, gaussians, multipole, multipole-transmitted, better-multipole, better-multipole-transmitted, transport, transport-transmitted. Is it beam?
@@ -341,11 +344,11 @@ $ dipole eval --sigma-a 0.032 --sigma-s 0.74 --model better --r 1 --tolerance 2
 ? 1
 
 $ dipole eval --sigma-a 0.032 --sigma-s 0.74 --g 0.5 --r 1 --model single,better,classical | grep note
-model      channel  sigma_a  sigma_s    g  eta     albedo  numerical error  model error  evaluator       notes
+model      channel  sigma_a  sigma_s    g  eta     albedo  numerical error  model error  numerical error  model error  evaluator       notes
 note: similarity: g is not 0: the model uses isotropic scattering with sigma_s (1 - g)
 
 $ dipole eval --sigma-a 0.032 --sigma-s 0.74 --g 0.5 --r 1 --model better | grep note
-model   channel  sigma_a  sigma_s    g  eta    albedo  numerical error  model error  evaluator       notes
+model   channel  sigma_a  sigma_s    g  eta    albedo  numerical error  model error  numerical error  model error  evaluator       notes
 note: similarity: g is not 0: the model uses isotropic scattering with sigma_s (1 - g)
 
 ## Errors: not solved, and what diverges at r = 0.
@@ -477,9 +480,9 @@ $ dipole eval --sigma-a 0.032 --sigma-s 0.74 --r 1 --model all,better --thicknes
 ? 1
 
 $ dipole eval --layer 2,5,0.8,1.4,0.05 --layer 0.1,10,0.8,1.33 --model transport --evaluator f64 --tolerance 0.1 --r 1,2 --format csv
-model,channel,layers,r,R,albedo,numerical_error,model_error,evaluator,notes
-transport,1,"2,5,0.8,1.4,0.05 0.1,10,0.8,1.33",1,0.0180...,0.268918...,0,f64,
-transport,1,"2,5,0.8,1.4,0.05 0.1,10,0.8,1.33",2,0.00322...,0.268918...,0,f64,
+model,channel,layers,r,R,albedo,numerical_error,model_error,numerical_error_R,model_error_R,numerical_error_albedo,model_error_albedo,evaluator,notes
+transport,1,"2,5,0.8,1.4,0.05 0.1,10,0.8,1.33",1,0.018081981395946824,0.26891812467807413,0.0034676647812534422,0,0.0034676647812534422,0,5.625330400031062e-7,0,f64,
+transport,1,"2,5,0.8,1.4,0.05 0.1,10,0.8,1.33",2,0.003222069817184719,0.26891812467807413,0.0034676647812534422,0,0.0034676647812534422,0,5.625330400031062e-7,0,f64,
 
 $ dipole eval --model transport $(for i in 1 2 3 4 5 6 7 8 9; do echo --layer 1,1,0,1.4,1; done)
 ! dipole eval: --layer: 9 layers: give at most 8
@@ -504,10 +507,11 @@ moments exact, R in 1/mm^2 per unit of power that entered
  inf  0.0000e+00
  0.1  5.4015e-02
 
-model   channel  sigma_a  sigma_s  g  eta  albedo  numerical error  model error  evaluator  notes
+                                                                 R            R           albedo       albedo
+model   channel  sigma_a  sigma_s  g  eta  albedo  numerical error  model error  numerical error  model error  evaluator  notes
                     1/mm     1/mm               1
-------  -------  -------  -------  -  ---  ------  ---------------  -----------  ---------  -----
-better  1              0        1  0  1.3       1          1.8e-15      8.8e-01        f64
+------  -------  -------  -------  -  ---  ------  ---------------  -----------  ---------------  -----------  ---------  -----
+better  1              0        1  0  1.3       1          1.8e-15      8.8e-01          1.8e-15      9.2e-06        f64
 numerical error: at most, against the model's formula, at r = 0 to 1000 mm
 model error: the largest, of the model against radiative transport, at r > 0: transport diverges at r = 0
 errors are relative, but of ln R, its derivatives, paths and modulated light absolute, as the
@@ -515,9 +519,9 @@ cdf's model error is, and of R_f over the albedo
 per unit of power launched: values times 1 - ((eta - 1) / (eta + 1))^2 = 0.982987 (eta 1.3)
 
 $ dipole eval --model transport --sigma-a 0.01 --sigma-s 10 --g 0.9 --eta 1.4 --from 1 --to 4 --deadline-ms 1; dipole eval --sigma-a 0.01 --sigma-s 10 --count 2 --deadline-ms 4294967295 --format csv
-model,channel,sigma_a,sigma_s,g,eta,r,R,albedo,numerical_error,model_error,evaluator,notes
-transport,1,0.01,10,0,1.3,0,inf,0.8716417198319318,8.569430525667954e-5,0,lut,
-transport,1,0.01,10,0,1.3,10,1.0940608e-6,0.8716417198319318,8.569430525667954e-5,0,lut,
+model,channel,sigma_a,sigma_s,g,eta,r,R,albedo,numerical_error,model_error,numerical_error_R,model_error_R,numerical_error_albedo,model_error_albedo,evaluator,notes
+transport,1,0.01,10,0,1.3,0,inf,0.8716417198319318,8.569430525910252e-5,0,8.569430525910252e-5,0,8.569430525910252e-5,0,lut,
+transport,1,0.01,10,0,1.3,10,1.0940608e-6,0.8716417198319318,8.569430525910252e-5,0,8.569430525910252e-5,0,8.569430525910252e-5,0,lut,
 ! dipole eval: deadline: the reply would come later than the deadline: deadline_ms: allowed: more milliseconds, or 0 for no limit (--deadline-ms)
 
 $ for one in '--tolerance 1e-9' '--tolerance 2' '--tolerance .1 --eta 0' '--tolerance .1 --r 1,-1' '--tolerance .1 --from 3 --to 1' '--tolerance 1e-5 --wanted ln_R --g .9'; do dipole eval --sigma-a .032 --sigma-s .74 $one || echo $?; done

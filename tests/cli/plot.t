@@ -112,7 +112,7 @@ $ dipole plot --medium skin1 --axes linear --log
 ? 2
 
 $ dipole plot --medium skin1 --f 1
-! dipole plot: --f gives spatial frequencies: request what ends with _f alone
+! dipole plot: what ends with _f is at the spatial frequencies of --f, all else at the radii of --r: request one of both
 ! `dipole plot --help` says more.
 ? 2
 

@@ -98,7 +98,7 @@ $ printf 'sigma_a,sigma_s,g,eta,f\n0.01,10,0.9,1.4,1\n' | dipole points --f 1
 ? 1
 
 $ dipole points --f 1 --wanted R one.csv
-! dipole points: --f gives spatial frequencies, which only R_f has: request R_f alone, without --r
+! dipole points: what ends with _f is at the spatial frequencies of --f or a column f: request it alone, without --r
 ! `dipole points --help` says more.
 ? 2
 

@@ -45,11 +45,12 @@ wavelength      R 1 mm      R 5 mm
        660  3.6564e-02  1.6156e-04
        850  3.4591e-02  4.2713e-04
 
-wavelength   model    sigma_a  sigma_s    g  eta    albedo  numerical error  model error  evaluator       notes
+                                                                          R            R           albedo       albedo
+wavelength   model    sigma_a  sigma_s    g  eta    albedo  numerical error  model error  numerical error  model error  evaluator       notes
         nm               1/mm     1/mm                   1
-----------  ------  ---------  -------  ---  ---  --------  ---------------  -----------  ---------  ----------
-       660  better  0.0461254  31.0129  0.9  1.4  0.544942          8.0e-15      3.4e-02        f64  similarity
-       850  better  0.0325848  21.6531  0.9  1.4  0.543068          6.2e-15      3.4e-02        f64  similarity
+----------  ------  ---------  -------  ---  ---  --------  ---------------  -----------  ---------------  -----------  ---------  ----------
+       660  better  0.0461254  31.0129  0.9  1.4  0.544942          8.0e-15      2.4e-02          2.1e-15      3.4e-02        f64  similarity
+       850  better  0.0325848  21.6531  0.9  1.4  0.543068          6.2e-15      2.7e-02          2.1e-15      3.4e-02        f64  similarity
 numerical error: at most, against the model's formula, at r = 1 to 5 mm
 model error: the largest, of the model against radiative transport
 errors are relative, but of ln R, its derivatives, paths and modulated light absolute, as the
@@ -58,11 +59,11 @@ per unit of power launched: values times 1 - ((eta - 1) / (eta + 1))^2 = 0.97222
 note: similarity: g is not 0: the model uses isotropic scattering with sigma_s (1 - g)
 
 $ dipole eval --tissue liver,g=.8 --wavelengths 650:850:200 --r 1,5 --model better --format csv
-wavelength_nm,model,sigma_a,sigma_s,g,eta,r,R,albedo,numerical_error,model_error,evaluator,notes
-650,better,0.06778891299534671,3.827449466042974,0.8,1.4,1,0.011851325533230012,0.24731734271798314,3.3234625063208483e-15,0.1125884614771322,f64,similarity
-650,better,0.06778891299534671,3.827449466042974,0.8,1.4,5,4.851319832982741e-4,0.24731734271798314,6.13628150327932e-15,0.1125884614771322,f64,similarity
-850,better,0.04437997698683253,3.243586836792913,0.8,1.4,1,0.010488345869371071,0.28826722546724287,3.0542424206612682e-15,0.09697144174930307,f64,similarity
-850,better,0.04437997698683253,3.243586836792913,0.8,1.4,5,7.154708245658773e-4,0.28826722546724287,5.146736643057529e-15,0.09697144174930307,f64,similarity
+wavelength_nm,model,sigma_a,sigma_s,g,eta,r,R,albedo,numerical_error,model_error,numerical_error_R,model_error_R,numerical_error_albedo,model_error_albedo,evaluator,notes
+650,better,0.06778891299534671,3.827449466042974,0.8,1.4,1,0.011851325533230012,0.24731734271798314,3.3234625063208483e-15,0.1125884614771322,3.3234625063208483e-15,0.06609698764347108,2.6202577570812305e-15,0.1125884614771322,f64,similarity
+650,better,0.06778891299534671,3.827449466042974,0.8,1.4,5,4.851319832982741e-4,0.24731734271798314,6.13628150327932e-15,0.1125884614771322,6.13628150327932e-15,0.06609698764347108,2.6202577570812305e-15,0.1125884614771322,f64,similarity
+850,better,0.04437997698683253,3.243586836792913,0.8,1.4,1,0.010488345869371071,0.28826722546724287,3.0542424206612682e-15,0.09697144174930307,3.0542424206612682e-15,0.057443671197213636,2.531118865062203e-15,0.09697144174930307,f64,similarity
+850,better,0.04437997698683253,3.243586836792913,0.8,1.4,5,7.154708245658773e-4,0.28826722546724287,5.146736643057529e-15,0.09697144174930307,5.146736643057529e-15,0.057443671197213636,2.531118865062203e-15,0.09697144174930307,f64,similarity
 
 $ dipole eval --tissue liver --wavelengths 500:640:2 --r 1 --model better --format csv | cut -d, -f1-4,8 | tail -2; dipole eval --tissue liver --wavelengths 638,640 --r 1 --model better --format csv | cut -d, -f1-4,8 | tail -2
 638,better,0.08140738702781918,7.743416924033975,0.011369780444428148
