@@ -164,9 +164,6 @@ static bool run_load(report *of, measured *result) {
 
 /* ---- the command line ------------------------------------------------------------------------ */
 
-#define MEDIUM_DEFAULT "skin1"
-#define SECONDS_LEAST 0.01
-#define SECONDS_MOST 3600.0
 #define RADIUS_LEAST_MM 0.01
 #define RADIUS_MOST_MM 10.0
 
@@ -182,8 +179,8 @@ static int check(cli_settings *settings) {
                 {"in-flight", settings->in_flight.value, DIPOLE_IN_FLIGHT_MAX},
                 {"radii", settings->radii.value, RADII_MAX},
                 {"large-radii", settings->large_radii.value, RADII_MAX}};
-  if (!(seconds >= SECONDS_LEAST && seconds <= SECONDS_MOST)) {
-    return cli_fail_usage("--seconds: give a number from %g to %g", SECONDS_LEAST, SECONDS_MOST);
+  if (!(seconds >= 0.01 && seconds <= 3600)) {
+    return cli_fail_usage("--seconds: give a number from 0.01 to 3600");
   }
   for (size_t i = 0; i < sizeof counts / sizeof counts[0]; i++) {
     if (counts[i].value < 1 || counts[i].value > counts[i].most) {
@@ -198,7 +195,7 @@ static int check(cli_settings *settings) {
         (unsigned long long)UNDER_WAY_MAX);
   }
   if (!cli_medium_given(settings) && settings->tissue.count == 0) {
-    static char name[] = MEDIUM_DEFAULT, *names[] = {name};
+    static char name[] = "skin1", *names[] = {name};
     settings->medium = (cli_texts){1, names, name};
   }
   return cli_medium_check(settings);

@@ -4,6 +4,7 @@
 #include <stdlib.h>
 #include <string.h>
 #include <sys/ioctl.h>
+#include <sys/stat.h>
 #include <unistd.h>
 
 #include "clients/c/error.h"
@@ -103,6 +104,17 @@ void *cli_resize(void *block, size_t count, size_t size_bytes) {
     unlink_block(one);
   }
   return link_block(checked(realloc(one, size_of(count, size_bytes))));
+}
+
+bool cli_file_end(FILE *file, const char *path, bool written) {
+  struct stat kind;
+  const bool removes = file != stdout && fstat(fileno(file), &kind) == 0 && S_ISREG(kind.st_mode);
+  written = written && fflush(file) == 0;
+  written = (file == stdout || fclose(file) == 0) && written;
+  if (!written && removes) {
+    unlink(path);
+  }
+  return written;
 }
 
 char *cli_copy(const char *text, size_t length) {

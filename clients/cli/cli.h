@@ -205,6 +205,10 @@ static inline double cli_larger(double a, double b) {
 
 /* ---- memory: all of it is freed when the command has ended ----------------------------------- */
 
+/* Ends a file or standard output whose writing has succeeded so far or not. A file that is not whole is
+ * removed. Returns whether it is whole; else errno says why not. */
+bool cli_file_end(FILE *file, const char *path, bool written);
+
 /* These functions end the program when no memory is left. Blocks need not be freed, but those of
  * work that may go on for long are. */
 void *cli_allocate(size_t count, size_t size_bytes);            /* zeroed */

@@ -399,15 +399,9 @@ static bool set_lengths(material *of) {
   if (kind == SKIN && !skin_ratios(of, of->colours, ratios)) {
     return false;
   }
-  if (kind >= BURLEY) {
-    dipole_medium *of_one_mm = cli_allocate(of->count, sizeof *of_one_mm);
-    for (size_t i = 0; i < of->count; i++) {
-      const double absorbed = absorbed_of(&of->media[i]);
-      of_one_mm[i] = (dipole_medium){absorbed, 1 - absorbed, of->media[i].g, of->media[i].eta};
-    }
-    if (!cli_edge_radii(of->settings, of->client, of_one_mm, 1, of->count, &r_mm, NULL, NULL)) {
-      return false;
-    }
+  if (kind >= BURLEY &&
+      !cli_edge_radii(of->settings, of->client, of->media, 1, of->count, &r_mm, NULL, NULL)) {
+    return false;
   }
   for (size_t i = 0; i < of->count; i++) {
     const dipole_medium *medium = &of->media[i];
@@ -415,9 +409,9 @@ static bool set_lengths(material *of) {
     const double reduced = medium->sigma_a_per_mm + medium->sigma_s_per_mm * (1 - medium->g);
     const double length_mm =
         kind == CLASSICAL_LENGTH ? 1 / sqrt(3 * medium->sigma_a_per_mm * reduced)
-        : kind < BURLEY          ? path_mm * ratios[i]
-                                 : path_mm * cli_edge_burley(r_mm + i * CLI_EDGE_RADII, NULL) *
-                              per_burley(kind, of->colours[i]);
+        : kind < BURLEY
+            ? path_mm * ratios[i]
+            : cli_edge_burley(r_mm + i * CLI_EDGE_RADII, NULL) * per_burley(kind, of->colours[i]);
     of->lengths[i] = length_mm / unit_mm;
   }
   return true;

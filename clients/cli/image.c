@@ -295,9 +295,6 @@ bool cli_image_write(const char *file, const cli_image *of) {
   }
   errno = 0;
   const bool written = cli_image_put(file, to, cli_ends_with(file, ".png"), of);
-  const bool good = !ferror(to) && written;
-  if (fclose(to) != 0 || !good) {
-    return written ? fail(file, errno != 0 ? strerror(errno) : "it cannot be written") : false;
-  }
-  return true;
+  const bool good = cli_file_end(to, file, !ferror(to) && written);
+  return good || (written && fail(file, errno != 0 ? strerror(errno) : "it cannot be written"));
 }

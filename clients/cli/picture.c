@@ -230,8 +230,7 @@ static bool copy_picture(FILE *from, const char *path) {
     fputc(byte, to);
     blanks = 0;
   }
-  const bool good = !ferror(from) && !ferror(to);
-  return (to == stdout || fclose(to) == 0) && good;
+  return cli_file_end(to, path, !ferror(from) && !ferror(to));
 }
 
 static int draw_file(const cli_picture *picture, const char *path, FILE *const files[FILES]) {

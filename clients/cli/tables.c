@@ -33,17 +33,10 @@ static bool save_tables(const char *path, const report *of) {
     const void *bytes = dipole_table_bytes(of->tables[i], &count);
     written = fwrite(bytes, 1, count, to) == count;
   }
-  written = written && fflush(to) == 0;
-  const int write_errno = errno;
-  if (to != stdout && fclose(to) != 0) {
-    written = false;
-  }
-  if (terminal) {
-    cli_fail("--output %s: a terminal cannot show binary tables; name a file", path);
-  } else if (!written) {
-    cli_fail("cannot write %s: %s", path, strerror(write_errno));
-  }
-  return written;
+  written = cli_file_end(to, path, written);
+  return terminal
+             ? cli_fails("--output %s: a terminal cannot show binary tables; name a file", path)
+             : written || cli_fails("cannot write %s: %s", path, strerror(errno));
 }
 
 /* ---- fetching -------------------------------------------------------------------------------- */

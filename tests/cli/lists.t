@@ -123,6 +123,10 @@ $ dipole table --sigma-a 0.032 --sigma-s 0.74 --output /dev/full
 ! dipole table: cannot write /dev/full: No space left on device
 ? 1
 
+$ (trap '' XFSZ; ulimit -f 8; dipole table --sigma-a 0.032 --sigma-s 0.74 --output part.table); test -e part.table || echo none
+none
+! dipole table: cannot write part.table: File too large
+
 $ dipole table --sigma-a 0.032 --sigma-s 0.74 --tolerance 1e-9
 ! dipole table: bad-value: tolerance: allowed: 1e-6 to 1 with lut (--tolerance)
 ? 1
