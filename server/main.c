@@ -339,14 +339,18 @@ static bool set_up_tls(struct server *server) {
   const bool wanted = tls_is_wanted(options);
   const bool names_clients = options->client_ca != NULL || options->roles != NULL;
   /* In the environment, clients of this machine may have named their own certificate. */
+  const bool names_key = options->key != NULL && options->key != getenv("DIPOLED_KEY");
   const bool names_ours =
-      options->certificate != NULL && options->certificate != getenv("DIPOLED_CERTIFICATE");
+      (options->certificate != NULL && options->certificate != getenv("DIPOLED_CERTIFICATE")) ||
+      names_key;
   if (options->roles != NULL && options->client_ca == NULL && (wanted || options->fd == NULL)) {
     return complain("--roles",
                     "it needs --client-ca FILE: roles are those of clients' certificates");
   }
   if (!wanted && options->fd == NULL && (names_clients || names_ours)) {
-    return complain(names_clients ? "--client-ca" : "--certificate",
+    return complain(names_clients                    ? "--client-ca"
+                    : options->certificate != NULL ? "--certificate"
+                                                     : "--key",
                     "no address has TLS: give --listen or --modbus tls:HOST:PORT, too");
   }
   server->tls = wanted ? tls_new(&server->options) : NULL;

@@ -125,8 +125,9 @@ def test_arguments_of_other_kinds_are_told_what_belongs_there(client):
     }.items():
         with pytest.raises(dipole.ArgumentError, match=text):
             call()
-    with pytest.raises(dipole.AddressError, match="one text"):
-        dipole.Client(["tcp:localhost:1"])
+    for address in (["tcp:localhost:1"], [], ""):
+        with pytest.raises(dipole.AddressError, match="one text"):
+            dipole.Client(address)
     with pytest.raises(dipole.ConnectError, match="/none.pem"):
         dipole.Client("tls:localhost:1", ca="/none.pem", retry_s=0)
 

@@ -261,8 +261,11 @@ def test_a_key_with_a_password_asks_nobody(farm, server, ours, tmp_path):
     ended = run("--listen", "tls:127.0.0.1:0", "--certificate", server[0], "--key", locked)
     assert ended.returncode == 1 and f"dipoled: {locked}: the key has a password" in ended.stderr
     files = {**ours, "key": locked}
-    with pytest.raises(dipole.ConnectError, match=f"the key {locked} has a password"):
-        dipole.Client(farm.url("tls"), **files)
+    for key in (locked, ours["certificate"], "/dev/null", server[1]):
+        with pytest.raises(dipole.ConnectError, match=f"the key {key} is not that of {ours['certificate']}"):
+            dipole.Client(farm.url("tls"), **{**ours, "key": key})
+    with pytest.raises(dipole.ConnectError, match="without a certificate"):
+        dipole.Client(farm.url("tls"), ca=ours["ca"], key=ours["key"])
     assert f"the key {locked} has a password" in media(farm.url("tls"), files)
 
 
@@ -365,6 +368,8 @@ def test_certificates_need_an_address_with_tls(daemon, server):
     for more, name in (["--client-ca", server[0]], "--client-ca"), ([], "--certificate"):
         ended = run("--listen", "tcp:127.0.0.1:0", *options(server, *more))
         assert ended.returncode == 1 and f"dipoled: {name}: no address has TLS" in ended.stderr
+    ended = run("--listen", "tcp:127.0.0.1:0", "--key", server[1])
+    assert ended.returncode == 1 and "dipoled: --key: no address has TLS" in ended.stderr
     with daemon(env={"DIPOLED_CERTIFICATE": server[0], "DIPOLED_KEY": server[1]}).connect() as connection:
         assert_serves(connection)
 

@@ -120,13 +120,14 @@ class Tls(NamedTuple):
             open(path, "rb").close()
         context = ssl.create_default_context(cafile=ca)
         context.minimum_version = ssl.TLSVersion.TLSv1_2
+        if self.key is not None and certificate is None:
+            raise ConnectError(f"the key {key} is given without a certificate", final=True)
         if certificate is not None:
-
-            def refuse() -> str:  # Without this, OpenSSL would request a password at the terminal.
-                text = "has a password: give a key without one, as openssl pkey writes it"
-                raise ConnectError(f"the key {key or certificate} {text}", final=True)
-
-            context.load_cert_chain(certificate, key, password=refuse)
+            try:  # Without a password here, OpenSSL would request one at the terminal.
+                context.load_cert_chain(certificate, key, password="-")
+            except ssl.SSLError as error:
+                text = f"the key {key or certificate} is not that of {certificate}, in PEM without a password"
+                raise ConnectError(f"{text} (openssl pkey): {error}", final=True) from error
         return context
 
 
@@ -148,7 +149,7 @@ class Connection:
         timeout_s: float | None = 30.0,
         tls: Tls = Tls(),  # noqa: B008  (it cannot be changed)
     ):
-        self.address = address or usual_address()
+        self.address = usual_address() if address is None else address
         self._tls = tls
         self.timeout_s = timeout_s
         self.is_one_of_several = False  # whether a client may leave a silent daemon for another

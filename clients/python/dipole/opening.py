@@ -30,7 +30,7 @@ class Opening:
         retry_s: float | None,
         tls: Tls,
     ):
-        self._addresses = _several(address or usual_address())
+        self._addresses = _several(usual_address() if address is None else address)
         self._at = 0  # index of the address that is in use, or is tried next
         with naming("timeout_s, retry_s"):
             if not (timeout_s is None or float(timeout_s) > 0) or not float(retry_s or 0) >= 0:
@@ -165,7 +165,7 @@ def _hello(address: str) -> Request[Info]:
 
 def _several(text: str) -> list[str]:
     """Splits a list of addresses at each comma before a scheme. Other commas belong to a path."""
-    if not isinstance(text, str):
+    if not isinstance(text, str) or text == "":
         raise AddressError(f"address: one text, in which several have commas between them; not {text!r}")
     addresses = re.split(",(?=unix:|tcp:|tls:|private:)", text)
     if len(addresses) > 1 and any(address.startswith("private:") for address in addresses):

@@ -471,7 +471,8 @@ class TissueFits:
 @dataclass(frozen=True, eq=False)
 class Fits:
     """What was fitted to sets of readings. Arrays have the shape of the sets: that of the values of
-    fit() without its last axis. With status "refused" all numbers are NaN."""
+    fit() without its last axis. With status "refused" all numbers are NaN: the reading number
+    sets["index"] is not finite (sets["field"] is 1), or its error is not above 0 (2)."""
 
     sets: Array  # a structured array with the fields of `fitted` in PROTOCOL.md
     residuals: Array | None  # [..., N]: (value - factor model) / error; None if not wanted
