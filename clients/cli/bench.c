@@ -167,9 +167,6 @@ static bool run_load(report *of, measured *result) {
 #define RADIUS_LEAST_MM 0.01
 #define RADIUS_MOST_MM 10.0
 
-/* How many radii may be under way. */
-#define UNDER_WAY_MAX (UINT64_C(1) << 25)
-
 static int check(cli_settings *settings) {
   const double seconds = settings->seconds.value;
   const struct {
@@ -188,11 +185,9 @@ static int check(cli_settings *settings) {
                             (unsigned long long)counts[i].most);
     }
   }
-  if (counts[0].value * counts[1].value * counts[2].value > UNDER_WAY_MAX) {
+  if (counts[0].value * counts[1].value * counts[2].value > 33554432) { /* radii under way */
     return cli_fail_usage(
-        "--connections, --in-flight, --radii: give less: their product is at most "
-        "%llu",
-        (unsigned long long)UNDER_WAY_MAX);
+        "--connections, --in-flight, --radii: give less: their product is at most 33554432");
   }
   if (!cli_medium_given(settings) && settings->tissue.count == 0) {
     static char name[] = "skin1", *names[] = {name};

@@ -453,7 +453,7 @@ static void put_errors_of(cli_rows *rows, const cli_eval_report *report,
 static void put_errors(cli_rows *rows, const cli_eval_report *report, const cli_eval_values *values,
                        double r_mm) {
   const cli_quantities *quantities = &report->quantities;
-  const unsigned beside = DIPOLE_BALANCE | DIPOLE_RADIUS | DIPOLE_MODEL_ERRORS;
+  const unsigned beside = DIPOLE_RADIUS | DIPOLE_MODEL_ERRORS;
   const bool several = __builtin_popcount(quantities->wanted & ~beside) > 1;
   put_errors_of(rows, report, &values->errors, r_mm, several ? CLI_IN_CSV | CLI_IN_JSON : 0, "");
   for (size_t q = 0; several && q < quantities->count; q++) {

@@ -251,8 +251,9 @@ const cli_command cli_command_texture = {
         "albedo, the share that leaves of the power that entered. OUT ends with .pfm or, "
         "with --coefficients scattered, with .png; with several coefficients their names stand "
         "before the ending, as in skin.sigma_a.pfm. "
-        "The media have the colours under the model, to 1e-5 with transport. A colour that no "
-        "medium has becomes NaN; then the exit status is 3. An EXR goes through `ffmpeg -i "
+        "The media have the colours under the model, to 1e-5 with transport; `dipole invert` "
+        "states the errors of coefficients, which are large next to white. A colour that no medium "
+        "has becomes NaN; then the exit status is 3. An EXR goes through `ffmpeg -i "
         "skin.exr skin.pfm` before, and what is written through `ffmpeg -i skin.sigma_a.pfm "
         "sigma_a.exr`. Both keep the numbers. FFmpeg 5.1 turns a PFM upside down when it writes "
         "and reads one: add `-vf vflip` if the image that went in was no EXR.",
