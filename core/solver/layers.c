@@ -71,6 +71,10 @@ enum { GRIDS_MOST = 4 };
 #define MARGIN 5.0
 #define MARGIN_FINITE 6.0
 
+/* So many times more for T where a layer has less than WEAK of the largest extinction. */
+#define WEAK 0.1
+#define WEAK_MARGIN 2.0
+
 /* A layer of less depth does not cut off enough of its phase function to count. */
 #define CUT_DEPTH 0.02
 
@@ -93,7 +97,7 @@ struct grid {
   size_t like;    /* layer of which a half space is like the layers near the beam; count: none */
   double layered_most;              /* the largest k at which R is not that of this half space */
   double share;                     /* Im k over it where the path of wavenumbers starts */
-  exitance_grid wavenumbers[SIDES]; /* T has further panels */
+  exitance_grid wavenumbers[SIDES]; /* one may have further panels */
   double passes;   /* what counts of light below that was scattered once, see pass_onwards() */
   double guess[3]; /* of T: k from where on it is guessed, or 0, Im k there, the error of k^2 T */
   exitance_series exitance[SIDES];
@@ -185,8 +189,9 @@ static bool find_rate(struct grid *to, const struct solver_layers *of, const cor
 /* ---- one grid ------------------------------------------------------------------------------ */
 
 /* Where no layer is like a half space: scaled mean free paths below which a first layer is thin, and
- * all layers of finite depth. Largest k over the scaled extinction that the functions of angle resolve
- * in a layer that light crosses, and in the last one. */
+ * all layers of finite depth. Largest k of T over the scaled extinction that the functions of angle
+ * resolve in a layer that light crosses, and in the last one. R goes on: little of its light crosses
+ * such layers, and two grids that end at the same k would guess alike beyond. */
 #define THIN 2.0
 #define THIN_ALL 5.0
 #define RESOLVED 20
@@ -293,6 +298,16 @@ static size_t find_like(const struct grid *of, const struct solver_layers *all) 
   return all->count;
 }
 
+static void extend_wavenumbers(exitance_grid *to, double last) {
+  double *end = &to->tier_end[TIERS - 1];
+  while (*end < LAST_ALIKE * last) {
+    *end = 2 * *end > 0.7 * last ? last : 2 * *end;
+    assert(to->panels < EXITANCE_PANELS_MAX);
+    to->point[to->panels + 1] = CMPLX(*end, cimag(to->point[to->panels]));
+    to->panels++;
+  }
+}
+
 static bool place_wavenumbers(struct grid *to, const struct solver_layers *of, const core_isa *isa,
                               const struct level *by) {
   double least = 1, all_least = 1, depth = 0, resolved = (double)INFINITY;
@@ -313,44 +328,41 @@ static bool place_wavenumbers(struct grid *to, const struct solver_layers *of, c
   const double round = 1 - fabs(to->layer[0].g);
   const double thin =
       first < THIN || depth < THIN_ALL ? THIN * (1 + round * round * (1 / fmin(1, first) - 1)) : 1;
-  double last = fmax(4, fmin(resolved, thin * most)), last_above = last;
-  to->layered_most = last;
+  double last_above = fmax(4, thin * most);
+  double last = fmax(4, fmin(resolved, thin * most));
+  to->layered_most = last_above;
   to->like = to->backward ? of->count : find_like(to, of);
   if (to->like < of->count) {
     const double s = to->layer[to->like].extinction;
+    const double alike = fmin(last_above, fmax(s, like_most[by - levels] * s / first));
     last_above = most * s;
     if (to->like == 0) {
-      const double alike = fmin(last, fmax(s, like_most[by - levels] * s / first));
       to->layered_most = first < 1 ? alike : fmin(alike, most * s);
       last_above = first < 1 || by < &levels[MORE_FROM] ? fmax(last_above, alike) : last_above;
     }
-    last = of->sides > 1 ? fmax(last, last_above) : last_above;
+    last = fmax(last, last_above);
   }
+  last = of->sides > 1 ? last : last_above;
   double end[TIERS];
   for (size_t tier = 0; tier < TIERS; tier++) {
     end[tier] = tier + 1 == TIERS
-                    ? last_above
+                    ? fmin(last, last_above)
                     : fmin(by->tier[tier].k_most * (of->sides > 1 ? all_least : least), last);
   }
   if (!find_rate(to, of, isa)) {
     return false;
   }
   to->rate = to->rate < PATH_RATE_LEAST ? 0 : to->rate;
-  /* R's panels end where R needs no more, T has further ones: K, whose error grids of the same K
-   * share, is another one on each grid. */
+  /* R's panels end where R needs no more, T's at the same k or another one: K, whose error grids of
+   * the same K share, is another one on each grid. */
   exitance_grid *above = &to->wavenumbers[0], *below = &to->wavenumbers[1];
   const double rises = of->sides == 1 && to->rate > 0 ? RISES : 1;
   const double share = of->sides > 1 && by >= &levels[MORE_FROM] ? SHARE_FINITE : by->share;
   const size_t nodes = by->nodes + (of->sides > 1 && by >= &levels[MORE_FROM]);
   solver_exitance_place(above, NULL, to->rate, share, rises * all_least, nodes, end);
   *below = *above;
-  while (below->tier_end[TIERS - 1] < LAST_ALIKE * last) {
-    const double next = 2 * below->tier_end[TIERS - 1];
-    below->tier_end[TIERS - 1] = next > 0.7 * last ? last : next;
-    below->point[below->panels + 1] =
-        CMPLX(below->tier_end[TIERS - 1], cimag(below->point[below->panels]));
-    below->panels++;
-  }
+  extend_wavenumbers(above, last_above);
+  extend_wavenumbers(below, last);
   return true;
 }
 
@@ -522,11 +534,16 @@ static bool make_like(const struct grid *of, const stack *expanded, const expans
   return ok;
 }
 
+/* Returns the grid of R or T that has all wavenumbers of both. */
+static const exitance_grid *all_wavenumbers(const struct grid *of) {
+  return &of->wavenumbers[of->wavenumbers[1].panels > of->wavenumbers[0].panels ? 1 : 0];
+}
+
 /* Returns whether a node's panel is one where the layers are like a half space, and its wavenumber at
  * least `from`. */
 static bool is_alike(const struct grid *of, const struct solver_layers *all, size_t node,
                      double from) {
-  const exitance_grid *at = &of->wavenumbers[1];
+  const exitance_grid *at = all_wavenumbers(of);
   return of->like < all->count &&
          creal(at->point[node / at->nodes]) >= LIKE_FROM * of->layer[of->like].extinction &&
          creal(solver_exitance_wavenumber(at, node)) >= from;
@@ -545,7 +562,7 @@ static double complex leave_like(double complex from, double complex k_from, dou
 static bool solve_tier(const struct grid *of, const struct solver_layers *all, const core_isa *isa,
                        const struct level *by, size_t tier, double complex *values, size_t nodes,
                        const atomic_bool *stop) {
-  const exitance_grid *wavenumbers = &of->wavenumbers[1];
+  const exitance_grid *wavenumbers = all_wavenumbers(of);
   const struct level *fine_by = &solver_levels[by - levels];
   const double last_above = creal(of->wavenumbers[0].point[of->wavenumbers[0].panels]);
   while (of->like < all->count && fine_by < &solver_levels[SOLVER_LEVELS - 1] &&
@@ -582,7 +599,8 @@ static bool solve_tier(const struct grid *of, const struct solver_layers *all, c
                      : solver_stack_new(isa, &rules, of->layer, all->count, all->eta_below);
       ok = expanded != NULL && solver_stack_at(expanded, k, of->ways.reflections_most, &at);
       for (size_t side = 0; side < SIDES && ok; side++) {
-        values[side * nodes + node] = at.all[side] - at.once[side];
+        const bool known = node < solver_exitance_end(&of->wavenumbers[side], TIERS - 1);
+        values[side * nodes + node] = known ? at.all[side] - at.once[side] : 0;
       }
       like[node] = values[node];
     }
@@ -724,7 +742,7 @@ enum { SAMPLES = 4 };
  * is for. */
 static void find_errors(solver_layers *of, double worst[SIDES]) {
   const struct grid *fine = of->grid[0];
-  double margin = of->sides > 1 ? MARGIN_FINITE : MARGIN;
+  double margin = of->sides > 1 ? MARGIN_FINITE : MARGIN, weakest = 1, strongest = 0;
   const size_t counted = depth_from(fine, of, 0) < THIN_GUIDES ? SAMPLES : 1;
   for (size_t i = 0; i < of->count; i++) {
     const stack_layer *layer = &fine->layer[i];
@@ -734,10 +752,14 @@ static void find_errors(solver_layers *of, double worst[SIDES]) {
             ? margin
             : fmax(margin, MARGIN * solver_shared_by_cuts(&phase, layer->medium.moments,
                                                           of->grid[1]->layer[i].medium.moments));
+    strongest = fmax(strongest, layer->extinction);
+    weakest = layer->extinction * layer->thickness < CUT_DEPTH ? weakest
+                                                               : fmin(weakest, layer->extinction);
   }
   of->last = 0;
   for (size_t side = 0; side < of->sides; side++) {
     const exitance_grid *known = &fine->wavenumbers[side];
+    const double by = side == 1 && weakest < WEAK * strongest ? WEAK_MARGIN * margin : margin;
     const double guessed = GUESSED / creal(known->point[known->panels]);
     double size, above = 0, seen = 0, r = SOLVER_ERROR_LEAST;
     for (size_t i = 1; i < SOLVER_ERROR_RADII; i++) {
@@ -751,7 +773,7 @@ static void find_errors(solver_layers *of, double worst[SIDES]) {
       for (size_t j = 0; j < (near ? SAMPLES : counted); j++, between *= SAMPLES_RATIO) {
         const double value = value_at(fine, side, between, &size);
         const double other = value_at(of->grid[1], side, between, &size);
-        const double off = solver_error_between(margin, value, other);
+        const double off = solver_error_between(by, value, other);
         error = fmax(error, off);
         some = j < counted ? fmax(some, off) : some;
       }
