@@ -15,6 +15,8 @@ enum {
   SLOW_PROBE_RADII = JOB_STEP_RADII,
   PROBES = 8,       /* average number of probes for a medium */
   BOUND_PROBES = 2, /* and for its errors */
+  /* that of transport's albedo, from the table of solutions, for the model error: 70 us */
+  COMPARISON_RADII = 2 * JOB_SLICE_RADII,
 };
 
 struct invert_job {
@@ -82,7 +84,7 @@ static bool compares(const struct invert_job *invert) {
 static uint64_t medium_radii(const struct invert_job *invert) {
   const bool bounds = invert->fixed.errors > 0;
   return (PROBES + (bounds ? BOUND_PROBES : 0)) * invert->probe_radii +
-         (compares(invert) ? SOLVED_PROBE_RADII : 0);
+         (compares(invert) ? COMPARISON_RADII : 0);
 }
 
 static enum job_outcome start_invert(struct job *job, const struct job_request *request) {
@@ -189,7 +191,7 @@ static enum job_outcome take_albedo(struct invert_job *invert, double albedo, do
     return JOB_GOES_ON;
   }
   if (invert->reach_known) {
-    *spent += compares(invert) ? SOLVED_PROBE_RADII : 0;
+    *spent += compares(invert) ? COMPARISON_RADII : 0;
     put_medium(invert);
     return JOB_GOES_ON;
   }
