@@ -25,6 +25,11 @@ enum { FIRST_LEVEL = 0, LAST_LEVEL = 1, EVALUATIONS_MAX = 24 };
 /* A second minimum differs by so many standard errors. */
 #define APART 5.0
 #define AT_BOUND 1e-3
+/* Steps to where readings determine an unknown, in logarithms; what lies there counts if chi-squared is
+ * at most so much larger. */
+#define STEP_AWAY 1.5
+#define NEAR 25.0
+enum { STEPS_AWAY = 4 };
 /* Tolerances that the best medium is solved with in the end, until its errors are small enough. */
 static const double tolerances[] = {1e-2, 1e-3};
 
@@ -219,8 +224,9 @@ static double rounded(double value) {
   return (value + huge) - huge;
 }
 
-/* Minimizes from to->x. J: room for rows times unknowns. */
-static void minimize(struct search *of, size_t level, double *J, struct minimum *to) {
+/* Minimizes from to->x. J: room for rows times unknowns. most: evaluations; if 1, the standard errors are
+ * those at to->x. */
+static void minimize(struct search *of, size_t level, int most, double *J, struct minimum *to) {
   const int n = of->count, rows = (int)of->of->count + n;
   double f[CORE_FIT_READINGS_MAX + MOST], work[CORE_FIT_READINGS_MAX + MOST];
   double scale[MOST], qtf[MOST], more[3][MOST];
@@ -228,8 +234,8 @@ static void minimize(struct search *of, size_t level, double *J, struct minimum 
   of->level = level;
   memcpy(of->start, to->x, sizeof of->start);
   const int info =
-      lmder(residuals_of, of, rows, n, to->x, f, J, rows, FTOL, XTOL, 0, EVALUATIONS_MAX, scale, 1,
-            FIRST_STEP, 0, &calls, &derivative_calls, pivots, qtf, more[0], more[1], more[2], work);
+      lmder(residuals_of, of, rows, n, to->x, f, J, rows, FTOL, XTOL, 0, most, scale, 1, FIRST_STEP,
+            0, &calls, &derivative_calls, pivots, qtf, more[0], more[1], more[2], work);
   covar(n, J, rows, pivots, 0, more[0]);
   for (int k = 0; k < n; k++) {
     to->x[k] = rounded(kept(of, k, to->x[k]));
@@ -357,6 +363,41 @@ static enum core_fit_status status_of(const struct search *of, const struct mini
                                                : CORE_FIT_STATUS_UNDETERMINED;
 }
 
+/* Looks at what the readings do not determine from where they do. Its derivatives vanish here, as if it
+ * were known, and the search may have ended for that: takes a better minimum, or else widens the errors
+ * of the others to those there. */
+static void look_around(struct search *of, double *J, struct minimum *best) {
+  const struct minimum from = *best;
+  double wide[MOST] = {0};
+  bool vague = false;
+  for (int i = 0; i < 2 * of->layered && !solver_stops(of->stop); i++) {
+    const int k = i / 2;
+    struct minimum there = {.sd = {0}};
+    if (status_of(of, &from, k) == CORE_FIT_STATUS_FITTED) {
+      continue;
+    }
+    for (int step = 1; step <= STEPS_AWAY && !(there.sd[k] > 0 && there.sd[k] < 1); step++) {
+      there = from;
+      there.x[k] = kept(of, k, from.x[k] + (i % 2 == 0 ? step : -step) * STEP_AWAY);
+      minimize(of, FIRST_LEVEL, 1, J, &there);
+      const bool near = there.chi_squared < from.chi_squared + NEAR;
+      for (int j = 0; j < of->count && near; j++) {
+        wide[j] = fmax(wide[j], there.sd[j]);
+      }
+    }
+    if (there.sd[k] < 1) {
+      minimize(of, LAST_LEVEL, EVALUATIONS_MAX, J, &there);
+      *best = there.settled && there.chi_squared < best->chi_squared - 1 ? there : *best;
+    }
+  }
+  for (int k = 0; k < of->layered; k++) {
+    vague |= status_of(of, best, k) != CORE_FIT_STATUS_FITTED;
+  }
+  for (int k = 0; k < of->count && vague; k++) {
+    best->sd[k] = fmax(best->sd[k], wide[k]);
+  }
+}
+
 /* Returns whether another minimum is a second solution: it fits nearly as well, and an unknown that
  * the readings determine differs. */
 static bool is_second(const struct search *of, const struct minimum *best,
@@ -409,8 +450,12 @@ static core_fault put_result(struct search *of, const struct minimum *best, bool
   }
   fit->reduced_chi_squared = spare > 0 ? fit->chi_squared / (double)spare : none;
   bool bound = false, vague = false;
+  const bool implausible = fit->chi_squared > fit_chi_squared_most(spare);
+  const enum core_fit_status whole =
+      fit_status(false, implausible, false, best->settled && precise, second);
   for (int k = 0; k < of->count; k++) {
-    const enum core_fit_status status = status_of(of, best, k);
+    const enum core_fit_status own = status_of(of, best, k);
+    const enum core_fit_status status = own == CORE_FIT_STATUS_FITTED ? whole : own;
     const bool unknown = status == CORE_FIT_STATUS_UNDETERMINED;
     const double value = unknown ? none : real_exp_signed(best->x[k]);
     const double error = status == CORE_FIT_STATUS_FITTED ? value * best->sd[k] : (double)INFINITY;
@@ -424,8 +469,7 @@ static core_fault put_result(struct search *of, const struct minimum *best, bool
           (core_estimate){(uint16_t)(1U << of->position[k]), (uint16_t)status, 0, value, error};
     }
   }
-  fit->status = fit_status(bound, fit->chi_squared > fit_chi_squared_most(spare), vague,
-                           best->settled && precise, second);
+  fit->status = fit_status(bound, implausible, vague, best->settled && precise, second);
   return of->fault;
 }
 
@@ -447,7 +491,7 @@ core_fault core_layers_fit_run(core_layers_fit *fit, const core_isa *isa,
   const int starts = find_starts(&search, found);
   int at = 0;
   for (int i = 0; i < starts && !solver_stops(stop); i++) {
-    minimize(&search, FIRST_LEVEL, J, &found[i]);
+    minimize(&search, FIRST_LEVEL, EVALUATIONS_MAX, J, &found[i]);
     at = found[i].chi_squared < found[at].chi_squared ? i : at;
   }
   bool second = false;
@@ -455,7 +499,8 @@ core_fault core_layers_fit_run(core_layers_fit *fit, const core_isa *isa,
     second |= i != at && is_second(&search, &found[at], &found[i]);
   }
   if (starts > 0 && !solver_stops(stop)) {
-    minimize(&search, LAST_LEVEL, J, &found[at]);
+    minimize(&search, LAST_LEVEL, EVALUATIONS_MAX, J, &found[at]);
+    look_around(&search, J, &found[at]);
   }
   free(J);
   return solver_stops(stop)            ? (core_fault){CORE_FIELD_STOPPED, "to be waited for", 0}

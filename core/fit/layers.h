@@ -27,9 +27,10 @@ typedef struct core_layers_fit_request {
   const double *errors;     /* [count] their standard errors, above 0, finite */
 } core_layers_fit_request;
 
-/* What was found of one unknown: FITTED, AT_BOUND (the value is the edge of the search range) or
- * UNDETERMINED (the standard error of its logarithm is CORE_FIT_LN_ERROR_MAX or more; the value is
- * NAN). The errors are INFINITY but of FITTED ones. */
+/* What was found of one unknown: AT_BOUND (the value is the edge of the search range), UNDETERMINED
+ * (the standard error of its logarithm is CORE_FIT_LN_ERROR_MAX or more; the value is NAN), or else
+ * FITTED, IMPLAUSIBLE, UNFINISHED or AMBIGUOUS, as the readings together. The errors are INFINITY but of
+ * FITTED ones. */
 typedef struct core_estimate {
   uint16_t unknown; /* enum core_unknown */
   uint16_t status;  /* enum core_fit_status */
