@@ -185,3 +185,156 @@ $ dipole convert --from gltf --colour .5 --length 1 --unit mm
 ! dipole convert: --unit: the lengths of gltf and coefficients have units of their own: leave it out
 ! `dipole convert --help` says more.
 ? 2
+
+$ dipole convert --from openpbr --colour .5,.4,.3 --length 1 --g 0,.1,.2 --to gltf --format native
+! dipole convert: --format native: one g and eta for all channels
+! `dipole convert --help` says more.
+? 2
+
+## Colours to type for an index of 1.5: by van de Hulst's formula .270, .438, .561, .657, .736, .804, .862, .913, .959. A walk in such a medium shows what was wanted.
+$ dipole convert --from openpbr --colour .1,.2,.3,.4,.5,.6,.7,.8,.9 --length 1 --to openpbr --typed 2>&1
+dipole convert: --from openpbr: renderers that use its example formula need --typed
+from openpbr, to openpbr, as in OpenPBR Surface 1.1, its definition of the colour, note renderers that use its example formula need --typed
+
+channel    colour  length      sigma_a   sigma_s  g  eta  scattered  shows   as given
+                                  1/mm      1/mm
+-------  --------  ------  -----------  --------  -  ---  ---------  -----  ---------
+      1  0.269924       1     0.279339  0.720661  0  1.5   0.720661    0.1  0.0302757
+      2  0.437994       1     0.122962  0.877038  0  1.5   0.877038    0.2  0.0681066
+      3  0.560613       1    0.0623104   0.93769  0  1.5    0.93769    0.3   0.115302
+      4  0.657087       1    0.0331827  0.966817  0  1.5   0.966817    0.4   0.174077
+      5  0.736459       1    0.0176771  0.982323  0  1.5   0.982323    0.5   0.247215
+      6  0.803733       1   0.00902334  0.990977  0  1.5   0.990977    0.6   0.338269
+      7  0.861981       1   0.00416527  0.995835  0  1.5   0.995835    0.7   0.451851
+      8  0.913231       1   0.00155271  0.998447  0  1.5   0.998447    0.8    0.59404
+      9  0.958897       1  0.000331252  0.999669  0  1.5   0.999669    0.9   0.773011
+
+$ dipole convert --from materialx --eta 1.5 --length 1 --colour "$(dipole convert --from openpbr --colour .1,.2,.3,.4,.5,.6,.7,.8,.9 --length 1 --to openpbr --typed --format csv 2>/dev/null | cut -d, -f2 | tail -n +2 | paste -sd,)"
+from materialx, to coefficients
+
+channel      sigma_a   sigma_s  g  eta  scattered  shows  as given
+                1/mm      1/mm
+-------  -----------  --------  -  ---  ---------  -----  --------
+      1     0.279339  0.720661  0  1.5   0.720661    0.1         -
+      2     0.122962  0.877038  0  1.5   0.877038    0.2         -
+      3    0.0623104   0.93769  0  1.5    0.93769    0.3         -
+      4    0.0331827  0.966817  0  1.5   0.966817    0.4         -
+      5    0.0176771  0.982323  0  1.5   0.982323    0.5         -
+      6   0.00902334  0.990977  0  1.5   0.990977    0.6         -
+      7   0.00416527  0.995835  0  1.5   0.995835    0.7         -
+      8   0.00155271  0.998447  0  1.5   0.998447    0.8         -
+      9  0.000331252  0.999669  0  1.5   0.999669    0.9         -
+
+## Blender 4's walk without an interface: the medium of its typed colours shows the wanted ones with the index 1.
+$ dipole convert --from materialx --eta 1 --length 1 --g .5 --colour "$(dipole convert --from openpbr --colour .8,.5,.3 --length 1 --g .5 --eta 1.5 --to cycles --format csv 2>/dev/null | cut -d, -f2 | tail -n +2 | paste -sd,)"
+from materialx, to coefficients
+
+channel     sigma_a   sigma_s    g  eta  scattered  shows  as given
+               1/mm      1/mm
+-------  ----------  --------  ---  ---  ---------  -----  --------
+      1  0.00295564  0.997044  0.5    1   0.997044    0.8         -
+      2   0.0290847  0.970915  0.5    1   0.970915    0.5         -
+      3   0.0883715  0.911628  0.5    1   0.911628    0.3         -
+
+## Wrenninge's formula: the albedos are those of wrenninge() of core/tools/colours.py, and the furnace of tests/blender confirms them.
+$ for g in 0 .5 .9; do dipole convert --from appleseed-glass --colour .05,.3,.6,.9 --length 1 --g $g --format csv; done
+channel,sigma_a,sigma_s,g,eta,scattered,shown,shown_as_given
+1,0.7839433643138699,0.2160566356861301,0,1.5,0.2160566356861301,0.014101164808305497,
+2,0.24090984635594115,0.7590901536440589,0,1.5,0.7590901536440589,0.11602287181208905,
+3,0.047243476883908286,0.9527565231160917,0,1.5,0.9527565231160917,0.3434871608881072,
+4,7.72557099296578e-4,0.9992274429007034,0,1.5,0.9992274429007034,0.8527569474940901,
+channel,sigma_a,sigma_s,g,eta,scattered,shown,shown_as_given
+1,0.634919232460012,0.36508076753998797,0.5,1.5,0.36508076753998797,0.008758323710400036,
+2,0.13502633110365048,0.8649736688963495,0.5,1.5,0.8649736688963495,0.10408394700496741,
+3,0.02342443055147514,0.9765755694485249,0.5,1.5,0.9765755694485249,0.3429680256549759,
+4,1e-6,0.999999,0.5,1.5,0.999999,0.9917096538618331,
+channel,sigma_a,sigma_s,g,eta,scattered,shown,shown_as_given
+1,0.2627626883356147,0.7372373116643853,0.9,1.5,0.7372373116643853,0.0061035327972556366,
+2,0.03191930360997064,0.9680806963900294,0.9,1.5,0.9680806963900294,0.09401533740754929,
+3,0.0037843207112121524,0.9962156792887878,0.9,1.5,0.9962156792887878,0.37885004146599605,
+4,1e-6,0.999999,0.9,1.5,0.999999,0.9816206878466986,
+! dipole convert: --from appleseed-glass: its formula knows no index
+! dipole convert: --from appleseed-glass: its formula knows no index
+! dipole convert: --from appleseed-glass: its formula knows no index
+
+## Files of others: mean free paths of 2, 1 and .5 mm, and a second material, which is left out.
+$ printf '<?xml version="1.0"?><materialx version="1.39"><open_pbr_surface name="m" type="surfaceshader"><input name="subsurface_color" type="color3" colorspace="srgb_texture" value="0.735357, 0.5, 0.2"/><input name="subsurface_radius" value="2"/> <input name="subsurface_radius_scale" value="1, 0.5, 0.25"/></open_pbr_surface><open_pbr_surface name="other"><input name="subsurface_radius" value="9"/></open_pbr_surface></materialx>' > m.openpbr; dipole convert --from openpbr m.openpbr
+from openpbr, to coefficients
+
+channel     sigma_a   sigma_s  g  eta  scattered      shows  as given
+               1/mm      1/mm
+-------  ----------  --------  -  ---  ---------  ---------  --------
+      1  0.00883857  0.491161  0  1.5   0.982323        0.5         -
+      2     0.11115   0.88885  0  1.5    0.88885   0.214041         -
+      3     1.18439  0.815608  0  1.5   0.407804  0.0331048         -
+! dipole convert: --from openpbr: renderers that use its example formula need --typed
+
+$ echo '<m><open_pbr_surface><input name="subsurface_color" value=".4,.4,.4"/></open_pbr_surface></m>' > usual; dipole convert --from openpbr usual --format csv
+channel,sigma_a,sigma_s,g,eta,scattered,shown,shown_as_given
+1,0.033182688030972116,0.966817311969028,0,1.5,0.9668173119690279,0.40000000000000013,
+2,0.06636537606194423,1.933634623938056,0,1.5,0.9668173119690279,0.40000000000000013,
+3,0.13273075212388846,3.867269247876112,0,1.5,0.9668173119690279,0.40000000000000013,
+! dipole convert: --from openpbr: renderers that use its example formula need --typed
+
+## Lengths of 1, 1 / ln 2 and 1 / -ln .9 mm, g .2 and eta 1.4
+$ printf '{"asset": {"version": "2.0"}, "materials": [{"extensions": {"KHR_materials_ior": {"ior": 1.4}, "KHR_materials_scatter": {"multiscatterColorFactor": [0.5, 0.5, 0.5], "scatterAnisotropy": 0.2}, "KHR_materials_volume": {"attenuationDistance": 0.001, "attenuationColor": [0.36787944, 0.5, 0.9]}}}]}' > m.gltf; dipole convert --from gltf m.gltf --format csv
+channel,sigma_a,sigma_s,g,eta,scattered,shown,shown_as_given
+1,0.07190442269513814,0.9280955804891724,0.2,1.4,0.9280955775338279,0.27197739939556875,
+2,0.049840347702218395,0.6433068328577269,0.2,1.4,0.9280955775338279,0.2719773993955689,
+3,0.007575887029114084,0.09778462862871219,0.2,1.4,0.9280955775338279,0.27197739939556875,
+! dipole convert: --from gltf: the extension is a draft
+
+## The strength halves the colours; a material without the extension stands before. Then one channel alone.
+$ sed 's/"scatterAniso/"scatterStrengthFactor": 0.5, &/; s/\[{"ext/[{}, {"ext/' m.gltf > strong; dipole convert --from gltf strong --format csv; dipole convert --from gltf --colour .25,.25,.25 --length 1 --g .2 --eta 1.4 --format csv; sed 's/\[0.5, 0.5, 0.5\]/[0.5]/; s/\[0.36787944, 0.5, 0.9\]/[0.36787944]/' m.gltf > one; dipole convert --from gltf one --format csv
+channel,sigma_a,sigma_s,g,eta,scattered,shown,shown_as_given
+1,0.2612832487733459,0.7387167544109646,0.2,1.4,0.738716752058661,0.09665002190965719,
+2,0.18110774663808418,0.512039433921861,0.2,1.4,0.738716752058661,0.09665002190965719,
+3,0.027528937735851144,0.07783157792197513,0.2,1.4,0.738716752058661,0.09665002190965719,
+channel,sigma_a,sigma_s,g,eta,scattered,shown,shown_as_given
+1,2.612832479413389e-4,7.38716752058661e-4,0.2,1.4,0.738716752058661,0.09665002190965719,
+2,2.612832479413389e-4,7.38716752058661e-4,0.2,1.4,0.738716752058661,0.09665002190965719,
+3,2.612832479413389e-4,7.38716752058661e-4,0.2,1.4,0.738716752058661,0.09665002190965719,
+channel,sigma_a,sigma_s,g,eta,scattered,shown,shown_as_given
+1,0.07190442269513814,0.9280955804891724,0.2,1.4,0.9280955775338279,0.27197739939556875,
+! dipole convert: --from gltf: the extension is a draft
+! dipole convert: --from gltf: the extension is a draft
+! dipole convert: --from gltf: the extension is a draft
+
+## Paths of 1, 2 and 3 mm, of 2 mm, and of 1 mm if none is said
+$ echo 'Material "subsurface" "rgb reflectance" [ .5 .4 .3 ] "rgb mfp" [1 2 3] "float eta" 1.4 "string name" "x" ' > m.pbrt; dipole convert --from pbrt m.pbrt --format csv; sed 's/1 2 3/2/' m.pbrt > one; dipole convert --from pbrt one --format csv; echo 'Material "diffuse" "rgb mfp" [9 9 9] Material "subsurface" "rgb reflectance" [.5 .4 .3]' > usual; dipole convert --from pbrt usual --format csv
+channel,sigma_a,sigma_s,g,eta,scattered,shown,shown_as_given
+1,0.022445286540018483,0.9775547134599816,0,1.4,0.9775547134599816,0.5000000000000003,
+2,0.020762635210979534,0.4792373647890204,0,1.4,0.9584747295780409,0.3999999999999997,
+3,0.025509608033444403,0.3078237252998889,0,1.4,0.9234711758996668,0.30000000000000027,
+channel,sigma_a,sigma_s,g,eta,scattered,shown,shown_as_given
+1,0.011222643270009242,0.4887773567299908,0,1.4,0.9775547134599816,0.5000000000000003,
+2,0.020762635210979534,0.4792373647890204,0,1.4,0.9584747295780409,0.3999999999999997,
+3,0.038264412050166605,0.4617355879498334,0,1.4,0.9234711758996668,0.30000000000000004,
+channel,sigma_a,sigma_s,g,eta,scattered,shown,shown_as_given
+1,0.026661130339025577,0.9733388696609745,0,1.33,0.9733388696609744,0.5000000000000006,
+2,0.04880128336456888,0.9511987166354312,0,1.33,0.9511987166354311,0.4000000000000003,
+3,0.08869599472614954,0.9113040052738506,0,1.33,0.9113040052738505,0.2999999999999998,
+! dipole convert: --from pbrt: pbrt inverts by a table of its own, within .14
+! dipole convert: --from pbrt: pbrt inverts by a table of its own, within .14
+! dipole convert: --from pbrt: pbrt inverts by a table of its own, within .14
+
+## Files that end early, that say what cannot be taken, and one that is not there
+$ printf %.45s "$(cat m.pbrt)" > e.pbrt; cp m.openpbr e.openpbr; cp m.gltf e.gltf; for name in openpbr gltf pbrt; do for n in $(seq 0 23 $(($(wc -c < e.$name) - 2))); do head -c $n e.$name > part; dipole convert --from $name part 2> said; echo $name $? $(grep -c '^dipole convert: part: ' said); done; done | uniq -c
+      1 openpbr 1 0
+     18 openpbr 1 1
+      1 gltf 1 0
+     12 gltf 1 1
+      1 pbrt 1 0
+      1 pbrt 1 1
+
+$ sed 's/value="0.735357, 0.5, 0.2"/nodegraph="NG"/' m.openpbr > wrong; dipole convert --from openpbr wrong; sed s/_scatter/_sheen/ m.gltf > wrong; dipole convert --from gltf wrong; sed 's/\[ .5 .4 .3 \]/[]/' m.pbrt > wrong; dipole convert --from pbrt wrong; : > wrong; for name in openpbr gltf pbrt; do dipole convert --from $name wrong; dipole convert --from $name none; done
+! dipole convert: wrong: subsurface_color is connected to a node, or is no number: give --colour
+! dipole convert: wrong: no material has the extension KHR_materials_scatter
+! dipole convert: wrong: reflectance is connected to a node, or is no number: give --colour
+! dipole convert: wrong is empty
+! dipole convert: cannot read none: No such file or directory
+! dipole convert: wrong is empty
+! dipole convert: cannot read none: No such file or directory
+! dipole convert: wrong is empty
+! dipole convert: cannot read none: No such file or directory
+? 1

@@ -181,3 +181,26 @@ $ dipole plot --medium skin1,marble --g .99 --channel red --error --plot d.svg -
 $ dipole plot --medium skin1 --channel red --model better,transport --surface-albedo .3 --error
 ! dipole plot: model better: bad-value: surface_albedo: allowed: nothing: this model does not take it (--surface-albedo)
 ? 1
+
+## A file name that starts with | is only a name: gnuplot itself would run it as a command.
+$ dipole plot --medium skin1 --model better --plot '|touch hit;.svg'; ls; rm -f '|touch hit;.svg'
+a.svg
+b.svg
+c.svg
+d.svg
+|touch hit;.svg
+
+## A picture that fails leaves the file as it was: without gnuplot, and where it fails or draws nothing.
+$ echo old > r.svg; for to in r.svg -; do PATH=. "$(command -v dipole)" plot --medium skin1 --model better --plot $to; done; cat r.svg
+old
+! dipole plot: --plot r.svg: gnuplot is not installed; install the package gnuplot-nox
+! dipole plot: --plot -: gnuplot is not installed; install the package gnuplot-nox
+
+$ mkdir fake; printf '#!/bin/sh\nprintf "no fonts today" >&2; exit 3\n' > fake/gnuplot; chmod +x fake/gnuplot; PATH=$PWD/fake:$PATH dipole plot --medium skin1 --model better --plot r.svg; printf '#!/bin/sh\nexit 0\n' > fake/gnuplot; PATH=$PWD/fake:$PATH dipole plot --medium skin1 --model better --plot r.svg || cat r.svg
+old
+! dipole plot: --plot r.svg: gnuplot failed: no fonts today
+! dipole plot: --plot r.svg: gnuplot failed:...
+
+$ dipole plot --medium skin1 --model better --plot none/r.svg
+! dipole plot: --plot none/r.svg: cannot write it: No such file or directory
+? 1

@@ -1,7 +1,6 @@
 """Pictures of `dipole plot` and `dipole eval --plot`: what gnuplot gets, and two that it draws; and
 the demonstration, which draws two."""
 
-import os
 import re
 import shutil
 import subprocess
@@ -11,7 +10,7 @@ from pathlib import Path
 import dipole as dipole_module
 import numpy as np
 import pytest
-from command_line import FAILED, Proxy, Terminal, busy, dipole, eval_rows, read_csv
+from command_line import Proxy, Terminal, busy, dipole, eval_rows, read_csv
 from daemons import BUILD, REPOSITORY, environment, finished
 from pictures import check_png, script, svg_lines, svg_texts
 
@@ -105,30 +104,6 @@ def test_the_picture_of_the_readme_is_current(tmp_path):
     dipole("plot", "--medium", "skin1", *arguments)
     assert sorted(svg_texts(drawn)) == sorted(svg_texts(kept))
     assert svg_lines(drawn) == svg_lines(kept) == 18
-
-
-def test_names_are_no_commands(tmp_path):
-    """A file name that starts with | is only a name. gnuplot itself would run it as a command."""
-    dipole(*SKIN, "--plot", "|touch hit;.svg", cwd=tmp_path)
-    assert [path.name for path in tmp_path.iterdir()] == ["|touch hit;.svg"]
-
-
-def test_a_picture_that_fails_leaves_the_file_as_it_was(tmp_path):
-    svg = tmp_path / "r.svg"
-    svg.write_text("old")
-    for name in (str(svg), "-"):
-        run = dipole(*SKIN, "--plot", name, env={"PATH": str(tmp_path)}, status=FAILED)
-        assert f"--plot {name}: gnuplot is not installed; install the package gnuplot-nox" in run.stderr
-    fake = tmp_path / "gnuplot"
-    for does in ("echo 'no fonts today' >&2; exit 3", "exit 0"):
-        fake.write_text(f"#!/bin/sh\n{does}\n")
-        fake.chmod(0o755)
-        path = f"{tmp_path}:{os.environ['PATH']}"
-        run = dipole(*SKIN, "--plot", str(svg), env={"PATH": path}, status=FAILED)
-        assert ("no fonts today" in run.stderr) == ("fonts" in does) and "gnuplot failed" in run.stderr
-    assert svg.read_text() == "old"
-    run = dipole(*SKIN, "--plot", str(tmp_path / "none" / "r.svg"), status=FAILED)
-    assert "cannot write it: No such file or directory" in run.stderr
 
 
 # ---- text ----------------------------------------------------------------------------------------

@@ -131,22 +131,24 @@ def test_an_invert_has_the_wires_values(master, client, given):
     assert stated == pytest.approx(most, rel=1e-6) and (stated >= most).all()
 
 
-@pytest.mark.parametrize("thickness", [None, 2.0])
+@pytest.mark.parametrize("thickness, aperture", [(None, 0), (2.0, 0), (None, 0.375)])
 @pytest.mark.parametrize("spacing", ["linear", "logarithmic"])
-def test_an_mc_has_the_wires_values(master, client, spacing, thickness):
+def test_an_mc_has_the_wires_values(master, client, spacing, thickness, aperture):
     unit, medium = 130, single([0.1, 0.9, 0.3, 1.3])
     start, stop = single([0.2, 5.0])
     set_medium(master, unit, medium)
     setting(master, unit, MC_SPACING=2 if spacing == "linear" else 3)
     setting(master, unit, RADIUS_START=floats(start, stop), MC_RING_COUNT=7)
     setting(master, unit, MC_PHOTONS=floats(20000), MC_SEED=words(1, 2), MC_ERROR_TOTAL=floats(-1))
+    setting(master, unit, PARAMETER_DETECTOR_NA=floats(aperture))
     if thickness is not None:
         setting(master, unit, THICKNESS=floats(thickness))
     setting(master, unit, MC_COMMIT=3)
     assert ended(master, "MC", unit)[:3] == (DONE, 3, 0)
     expected = client.mc(
-        (*medium, thickness or 0.0), Grid(start, stop, 8, spacing), photons=20000, seed=0x10002
-    )
+        (*medium, thickness or 0.0), Grid(start, stop, 8, spacing), photons=20000, seed=0x10002,
+        parameters={"detector_na": aperture} if aperture else {},
+    )  # fmt: skip
     sides = [("MC_R", "MC_R_ERROR"), ("MC_T", "MC_T_ERROR")]
     for side, fields in enumerate(sides):
         for field, array in zip(fields, (expected.values, expected.errors)):
@@ -203,25 +205,6 @@ def test_two_layers_have_the_wires_values(master, client):
         with pytest.raises(Exception_):
             setting(master, unit, COMMIT=8)
         assert ended(master, "", unit)[:4] == (ERROR, 7, BAD_VALUE_STATUS, register)
-
-
-def test_an_mc_takes_an_aperture(master, client):
-    """Its rings are of the light within it alone."""
-    unit, medium = 134, single([0.125, 1.0, 0.0, 1.375])
-    set_medium(master, unit, medium)
-    setting(master, unit, RADIUS_START=floats(0, 1), MC_RING_COUNT=5, MC_PHOTONS=floats(20000))
-    seen = {}
-    for token, na in enumerate([0.375, 0.0], 1):
-        setting(master, unit, PARAMETER_DETECTOR_NA=floats(na))
-        setting(master, unit, MC_COMMIT=token)
-        assert ended(master, "MC", unit)[:3] == (DONE, token, 0)
-        expected = client.mc(
-            medium, Grid(0, 1, 6), photons=20000, seed=0,
-            parameters={"detector_na": na} if na else {},
-        )
-        seen[na] = numbers(master, "MC_R", 5, unit)
-        assert (seen[na] == np.float32(expected.values[0][0])).all()
-    assert (0 < seen[0.375]).all() and (seen[0.375] < 0.375 * seen[0.0]).all()
 
 
 @pytest.mark.parametrize("kind", KINDS)
