@@ -70,7 +70,7 @@ PARTED = {
 LONG = {
     "eval": eval_payload(radii=None, radius_count=2**31, wanted=R),
     "sample": sample_payload([SKIN], None, sample_count=60_000, model=MODELS["beam+single"], wanted=RADIUS),
-    "invert": invert_payload(COLOURS[::25], np.ones(40_000), eta=1.37),
+    "invert": invert_payload(COLOURS[::25], np.ones(40_000), eta=1.37, errors=2),
     "fit": fit_payload(READINGS * NOISE[:4000]),
     "varying": varying_payload(np.full((2_000_000, 2), (0.1, 1.0)), np.ones(2_000_000), wanted=199),
     "gather": gather_payload(POINTS_SENT, FOUR, PLACES, tolerance=0.0, model=MODELS["extended"]),

@@ -629,6 +629,8 @@ def test_the_deadline_of_a_job_is_for_its_start(shared):
 def test_others_are_answered_meanwhile(single, message):
     """One worker does both: small requests of every kind are answered while a long one runs."""
     with single.connect() as busy, single.connect() as other:
+        for name in SAME:  # which prepares what they need, on another thread
+            answer(other, name)
         send_points(busy, message)
         busy.send_bytes(frame(wire.MESSAGES[message], 1, LONG[message]))
 
