@@ -173,3 +173,13 @@ $ for one in 'formula --light lamp' 'kernel --medium skin1 --channel red,green';
 ! `dipole bake --help` says more.
 ! dipole bake: give one channel or three: red, green and blue
 ! `dipole bake --help` says more.
+
+## Skin: within .0065, of ranges near 10.7, 4.5 and 2.25 mm; with a range in common blue is the worse for it.
+$ dipole bake kernel --medium skin1 --eta 1.4 --format json | grep -E 'edge_error|range_mm'
+ "range_mm": [10.6699548, 4.51077447, 2.2535612],
+ "edge_error": [0.00471135698, 0.00547616896, 0.00618965903],
+
+$ dipole bake kernel --medium skin1 --common --format json | grep -E 'edge_error|range_mm|columns'
+ "range_mm": [10.5129007, 10.5129007, 10.5129007],
+ "edge_error": [0.00471818948, 0.0107206753, 0.0201279246],
+ "columns": ["weight_red", "weight_green", "weight_blue", "offset"],

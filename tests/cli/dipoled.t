@@ -185,3 +185,60 @@ dipoled 0.1.0
 
 $ dipoled --help --listen nonsense | head -n 1
 dipoled 0.1.0: evaluates subsurface-scattering profiles R(r) for clients.
+
+$ export DIPOLED_LOG_LEVEL=error; for one in 127.0.0.1: '' 127.0.0.1:x 127.0.0.1:65536 no.such.host.invalid:0 tcp:127.0.0.1:0; do dipoled --listen unix:w --metrics "$one"; done
+! dipoled: --metrics 127.0.0.1:: write a host and a port, as in 127.0.0.1:4817 or [::1]:4817. Write HOST:PORT, or a PORT of this machine
+! dipoled: --metrics : write a host and a port, as in 127.0.0.1:4817 or [::1]:4817. Write HOST:PORT, or a PORT of this machine
+! dipoled: --metrics 127.0.0.1:x: the port, behind the last colon, has to be a number from 0 to 65535. Write HOST:PORT, or a PORT of this machine
+! dipoled: --metrics 127.0.0.1:65536: the port, behind the last colon, has to be a number from 0 to 65535. Write HOST:PORT, or a PORT of this machine
+! dipoled: --metrics no.such.host.invalid:0: ... Write HOST:PORT, or a PORT of this machine
+! dipoled: --metrics tcp:127.0.0.1:0: ... Write HOST:PORT, or a PORT of this machine
+? 1
+
+$ for one in http metrics; do dipoled --listen unix:w --$one 127.0.0.1:0 --$one 127.0.0.1:0 || echo $?; done
+2
+2
+! dipoled: --http is given twice, and takes one HOST:PORT
+! dipoled: --metrics is given twice, and takes one HOST:PORT
+
+## All addresses, or none; other files are left alone.
+$ dipoled --log-level error --listen unix:first --listen tcp:127.0.0.1:nonsense; test -e first || echo none
+none
+! dipoled: cannot listen at tcp:127.0.0.1:nonsense: the port, behind the last colon, has to be a number from 0 to 65535
+
+$ echo 'not a socket' > precious; mkdir folder; ln -s nowhere link; for one in precious folder link; do dipoled --log-level error --listen unix:$one; done; cat precious; ls -Fd folder link
+not a socket
+folder/
+link@
+! dipoled: cannot listen at unix:precious: Address already in use: end the program that has it, or give another address (--listen, --http, --metrics, --modbus or --scpi)
+! dipoled: cannot listen at unix:folder: Address already in use: end the program that has it, or give another address (--listen, --http, --metrics, --modbus or --scpi)
+! dipoled: cannot listen at unix:link: Address already in use: end the program that has it, or give another address (--listen, --http, --metrics, --modbus or --scpi)
+
+## Files of media
+$ export DIPOLED_LOG_LEVEL=error; for one in 'skin1 1,2,0,1.3' 'a 1,2,0,1.3 1,2,0,1.3' 'a 1,2,0' 'a' 'a red 1,2,0,1.3\nb 1,2,0,1.3' '\na red 1,2,0,1.3' 'a 1,2,0,1e4' 'aaaaaaaaaaaaaaaaa 1,2,0,1.3' 'a red 1,2,0,1.3\na red 1,2,0,1.3' 'a red 1,2,0,1.3\na green 1,2,0,1.3,1 1,2,0,1.3' "a$(printf ' 1,2,0,1.3,1%.0s' $(seq 9))" "$(printf 'm%d 1,2,0,1.3\\n' $(seq 257))" "$(printf 'a%.0s' $(seq 2100))"; do printf "$one" > media; dipoled --listen unix:w --media media || echo $?; done
+1
+1
+1
+1
+1
+1
+1
+1
+1
+1
+1
+1
+1
+! dipoled: media: line 1: the name is taken
+! dipoled: media: line 1: above 0: only the last layer may be a half space
+! dipoled: media: line 1: layers are SIGMA_A,SIGMA_S,G,ETA[,THICKNESS_MM]
+! dipoled: media: line 1: layers are SIGMA_A,SIGMA_S,G,ETA[,THICKNESS_MM]
+! dipoled: media: line 2: the medium above needs a line for red, green and blue each
+! dipoled: media: the last medium lacks a colour
+! dipoled: media: line 1: 0.001 to 1000
+! dipoled: media: line 1: a name has at most 16 bytes
+! dipoled: media: line 2: the medium above needs a line for red, green and blue each
+! dipoled: media: line 2: red, green and blue have as many layers each
+! dipoled: media: line 1: layers are SIGMA_A,SIGMA_S,G,ETA[,THICKNESS_MM]
+! dipoled: media: line 257: a file has at most 256 media
+! dipoled: media: line 1: the line is too long

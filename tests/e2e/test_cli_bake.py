@@ -117,17 +117,6 @@ def test_a_profile_is_interpolated_as_it_says(client, medium):
     assert off == pytest.approx(file["cdf_error"][0], rel=0.1, abs=3e-5)
 
 
-def test_a_kernel_of_skin_is_better_than_promised():
-    file = json.loads(dipole("bake", "kernel", "--medium", "skin1", "--eta", "1.4", "--format", "json").stdout)
-    assert max(file["edge_error"]) <= 0.0065 and file["range_mm"] == pytest.approx([10.7, 4.5, 2.25], rel=0.02)
-
-
-def test_a_common_range_has_its_error(client):
-    file = json.loads(dipole("bake", "kernel", "--medium", "skin1", "--common", "--format", "json").stdout)
-    assert file["columns"][3:] == ["offset"] and len(set(file["range_mm"])) == 1
-    assert file["edge_error"][2] > 3 * file["edge_error"][0]
-
-
 def sphere(R, r, radius: float, cosines):
     """What a sphere returns at places, by sums over its whole surface; r: chords of known R. A ring has
     the light A + B cos phi, where that is positive."""

@@ -5,7 +5,6 @@ import csv
 import numpy as np
 import pytest
 from command_line import dipole
-from daemons import run
 from dipole import ArgumentError, Client, Grid, Medium, Points, Refused, Stack
 from test_http import post
 
@@ -100,21 +99,6 @@ def test_media_of_a_file(daemon, tmp_path):
         assert (found == client.eval("transport", film, R_MM, **options).R).all()
     reply = post(one, "/v1/eval", model="transport", medium="film", r=R_MM, **options).json
     assert [channel["R"] for channel in reply["channels"]] == found.tolist()
-
-
-@pytest.mark.parametrize("text, says", [
-    ("skin1 1,2,0,1.3", "line 1: the name is taken"), ("a 1,2,0,1.3 1,2,0,1.3", "line 1: above 0: only the last"),
-    ("a 1,2,0", "line 1: layers are SIGMA_A"), ("a", "line 1: layers are"), ("a red 1,2,0,1.3\nb 1,2,0,1.3", "line 2: the medium above"),
-    ("\na red 1,2,0,1.3", "the last medium lacks"), ("a 1,2,0,1e4", "line 1: 0.001 to 1000"),
-    (f"{17 * 'a'} 1,2,0,1.3", "at most 16 bytes"), ("a red 1,2,0,1.3\na red 1,2,0,1.3", "line 2: the medium above"),
-    ("a red 1,2,0,1.3\na green 1,2,0,1.3,1 1,2,0,1.3", "as many layers"), ("a " + 9 * "1,2,0,1.3,1 ", "layers are"),
-    ("".join(f"m{i} 1,2,0,1.3\n" for i in range(257)), "line 257: a file has at most 256"),
-    ("a" * 2100, "too long"),
-])  # fmt: skip
-def test_files_of_media_that_are_wrong(tmp_path, text, says):
-    (tmp_path / "media").write_text(text)
-    ended = run("--listen", f"unix:{tmp_path}/s", "--media", str(tmp_path / "media"))
-    assert ended.returncode == 1 and f"{tmp_path}/media: " in ended.stderr and says in ended.stderr, ended.stderr
 
 
 def test_transmitted_light_is_drawn_and_gathered(daemon):

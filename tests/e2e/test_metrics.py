@@ -347,20 +347,10 @@ def test_not_unless_asked_for(shared):
     assert not any("event=metrics" in line for line in shared.log)
 
 
-def test_wrong_addresses(watched):
+def test_an_address_that_is_taken(watched):
     taken = address_of(watched)
-    for value, said in {
-        taken: "Address already in use",
-        "127.0.0.1:": "HOST:PORT",
-        "": "HOST:PORT",
-        "127.0.0.1:x": "port",
-        "127.0.0.1:65536": "port",
-        "no.such.host.invalid:0": "no.such.host.invalid",
-        "tcp:127.0.0.1:0": "Write HOST:PORT, or a PORT of this machine",
-    }.items():
-        ended = run("--listen", "tcp:127.0.0.1:0", "--metrics", value)
-        assert ended.returncode == 1, value
-        assert "--metrics" in ended.stderr and said in ended.stderr, ended.stderr
+    ended = run("--listen", "tcp:127.0.0.1:0", "--metrics", taken)
+    assert ended.returncode == 1 and "--metrics" in ended.stderr and "Address already in use" in ended.stderr
 
 
 # ---- Prometheus itself ---------------------------------------------------------------------------

@@ -4,7 +4,7 @@ and tests/cli/eval.t has them in every format."""
 
 import numpy as np
 import pytest
-from command_line import Proxy, eval_json, eval_rows
+from command_line import Proxy, eval_rows
 from dipole import Medium, Refused, wire
 from frames import SKIN, changed_choices
 
@@ -34,27 +34,6 @@ def test_media_without_derivatives_are_refused(client):
     with pytest.raises(Refused) as caught:
         client.eval(None, Medium(0.1, 1.0), [1.0], wanted=BY, tolerance=0.1)
     assert caught.value.field == "wanted" and "tolerance" in caught.value.allowed
-
-
-# ---- paths and modulated light -------------------------------------------------------------------
-
-
-def test_paths_and_modulated_light_reach_every_client(client):
-    """tests/accuracy/test_paths.c has what they are. Each frequency has profiles of its own."""
-    names, medium, r = ["path", "dpf", "time", "phase", "modulation"], Medium(0.01, 1.0, 0.0, 1.4), [5.0, 20.0]
-    found = {
-        mhz: client.eval("transport", medium, r, evaluator="f64", wanted=names, parameters={"mhz": mhz})
-        for mhz in (100, 50)
-    }
-    answer = found[100]
-    assert (answer.phase[0] > 1.9 * found[50].phase[0]).all()
-    assert (answer.modulation[0] < found[50].modulation[0]).all()
-    assert answer.dpf[0] * r == pytest.approx(answer.path[0])
-    rows = eval_json("--model", "transport", "--sigma-a", "0.01", "--sigma-s", "1", "--eta", "1.4", "--r", "5,20", "--mhz", "100",
-                     "--evaluator", "f64", "--wanted", ",".join(names))["rows"]  # fmt: skip
-    for name in names:
-        assert [row[name] for row in rows] == getattr(answer, name)[0].tolist()
-        assert (0 < answer.numerical_error(quantity=name)).all()
 
 
 # ---- a daemon of another kind --------------------------------------------------------------------

@@ -1,7 +1,6 @@
-/* Monte Carlo: refusals, results at the extremes, and the same bits for every instruction set,
- * slicing and number of threads. */
+/* Monte Carlo: refusals, results at the extremes, and the same bits for every slicing. test_mc.py has
+ * threads. */
 #include <math.h>
-#include <pthread.h>
 
 #include "core/montecarlo/lane_math.h"
 #include "core/montecarlo/plan.h"
@@ -315,68 +314,6 @@ static core_mc_request bit_request(size_t i) {
     set_phase(&request, &phase_cases[i % PHASE_CASES]);
   }
   return request;
-}
-
-/* Threads that walk batches. Each takes the next index, and merges its batch when all earlier ones
- * are merged. */
-struct pool {
-  pthread_mutex_t lock;
-  pthread_cond_t merged;
-  const core_mc_plan *plan;
-  core_mc_total *total;
-  uint64_t next;
-};
-
-enum { POOL_BATCHES = 20, POOL_SLICE = 3000 };
-
-static void *work(void *context) {
-  struct pool *pool = context;
-  const core_isa *isa = core_isa_select(NULL);
-  core_mc_batch *batch = core_mc_batch_create(pool->plan);
-  for (;;) {
-    pthread_mutex_lock(&pool->lock);
-    const uint64_t index = pool->next++;
-    pthread_mutex_unlock(&pool->lock);
-    if (index >= POOL_BATCHES || batch == NULL) {
-      break;
-    }
-    core_mc_batch_start(batch, index);
-    while (!core_mc_batch_walk(batch, isa, POOL_SLICE)) {
-    }
-    pthread_mutex_lock(&pool->lock);
-    while (core_mc_total_batches(pool->total) != index) {
-      pthread_cond_wait(&pool->merged, &pool->lock);
-    }
-    core_mc_total_merge(pool->total, batch);
-    pthread_cond_broadcast(&pool->merged);
-    pthread_mutex_unlock(&pool->lock);
-  }
-  core_mc_batch_free(batch);
-  return NULL;
-}
-
-UNIT_TEST(threads_give_the_same_bits) {
-  enum { THREADS = 2 };
-  for (size_t i = 0; i < BIT_REQUESTS; i += 5) {
-    const core_mc_request request = bit_request(i);
-    montecarlo_run alone = montecarlo_run_batches(&request, POOL_BATCHES);
-    struct pool pool = {.lock = PTHREAD_MUTEX_INITIALIZER,
-                        .merged = PTHREAD_COND_INITIALIZER,
-                        .plan = alone.plan,
-                        .total = core_mc_total_create(alone.plan)};
-    assert_non_null(pool.total);
-    pthread_t threads[THREADS];
-    for (int j = 0; j < THREADS; j++) {
-      assert_int_equal(pthread_create(&threads[j], NULL, work, &pool), 0);
-    }
-    for (int j = 0; j < THREADS; j++) {
-      pthread_join(threads[j], NULL);
-    }
-    assert_int_equal(core_mc_total_batches(pool.total), POOL_BATCHES);
-    assert_same(&request, pool.total, alone.total);
-    core_mc_total_free(pool.total);
-    montecarlo_run_free(&alone);
-  }
 }
 
 /* Seeds that differ, even only in their upper half, give different walks. An abandoned batch does
