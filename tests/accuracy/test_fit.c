@@ -34,6 +34,18 @@ struct recovery {
   double errors; /* of the readings, relative */
 };
 
+/* Absolute readings of R at distances, of eta 1.4. */
+static core_fit_design usual_design(unsigned model, double g, size_t count, const double *at) {
+  return (core_fit_design){.model = model,
+                           .moments = CORE_MOMENTS_EXACT,
+                           .g = g,
+                           .eta = 1.4,
+                           .axis = CORE_FIT_AXIS_RADIUS,
+                           .count = count,
+                           .at = at,
+                           .scale = CORE_FIT_SCALE_ABSOLUTE};
+}
+
 struct subject {
   core_fit_design design;
   core_medium medium;
@@ -102,6 +114,24 @@ static core_fit *created(const core_fit_design *design) {
   core_fit *fit;
   unit_assert_fault(core_fit_create(&fit, core_isa_select(NULL), design), NULL, 0);
   return fit;
+}
+
+/* Returns what core_fit_run() says of one set of readings. */
+static core_fit_result run_alone(const core_fit_design *design, const double *values,
+                                 const double *errors) {
+  core_fit_result result;
+  core_fit *fit = created(design);
+  core_fit_run(fit, values, errors, &result, NULL);
+  core_fit_free(fit);
+  return result;
+}
+
+/* Sets values to the readings that a design models of a medium. */
+static void model_readings(const core_fit_design *design, double sigma_a, double sigma_s_prime,
+                           double *values) {
+  core_fit *fit = created(design);
+  fit_model_readings(fit, sigma_a, sigma_s_prime, values);
+  core_fit_free(fit);
 }
 
 /* Fits, and refines as long as the fit wants it. */
@@ -235,23 +265,14 @@ UNIT_TEST(readings_of_profiles_come_back) {
 UNIT_TEST(flat_valleys_are_not_left_at_their_end) {
   struct subject subject = {
       .medium = {0.00018047113022462311, 0.34200634425599358, 0, 1.065859681605833},
-      .design = {.model = CORE_MODEL_TRANSPORT,
-                 .moments = CORE_MOMENTS_EXACT,
-                 .eta = 1.065859681605833,
-                 .axis = CORE_FIT_AXIS_RADIUS,
-                 .count = 6,
-                 .scale = CORE_FIT_SCALE_ABSOLUTE,
-                 .g = 0.8},
       .at = {0.35648855019753578, 1.9043188863509601, 1.7838892316056296, 1.7853767432776231,
              4.3845154913532802, 0.62602462038294182}};
-  subject.design.at = subject.at;
-  core_fit *fit = created(&subject.design);
-  fit_model_readings(fit, subject.medium.sigma_a_per_mm, subject.medium.sigma_s_per_mm,
-                     subject.values);
+  subject.design = usual_design(CORE_MODEL_TRANSPORT, 0.8, 6, subject.at);
+  subject.design.eta = subject.medium.eta;
+  model_readings(&subject.design, subject.medium.sigma_a_per_mm, subject.medium.sigma_s_per_mm,
+                 subject.values);
   set_errors(&subject, 0.01);
-  core_fit_result result;
-  core_fit_run(fit, subject.values, subject.errors, &result, NULL);
-  core_fit_free(fit);
+  const core_fit_result result = run_alone(&subject.design, subject.values, subject.errors);
   assert_true(off(&subject, &result.best) < 1e-6);
   assert_true(result.best.chi_squared < 1e-12);
 }
@@ -274,22 +295,15 @@ UNIT_TEST(a_second_medium_is_not_taken_for_the_true_one) {
       {true, 0, 0.0505865, 0.977555, 5, {0.122293, 0.136323, 0.142326, 0.163989, 0.219017}},
   };
   for (size_t i = 0; i < sizeof cases / sizeof cases[0]; i++) {
-    struct subject subject = {
-        .medium = {cases[i].sigma_a, cases[i].sigma_s_prime, 0, 1.4},
-        .design = {.model = cases[i].count == 2 ? CORE_MODEL_BETTER : CORE_MODEL_TRANSPORT,
-                   .moments = CORE_MOMENTS_EXACT,
-                   .g = cases[i].g,
-                   .eta = 1.4,
-                   .axis = cases[i].by_frequency ? CORE_FIT_AXIS_FREQUENCY : CORE_FIT_AXIS_RADIUS,
-                   .count = cases[i].count,
-                   .at = cases[i].at,
-                   .scale = cases[i].count == 2 ? CORE_FIT_SCALE_ABSOLUTE : CORE_FIT_SCALE_FREE}};
-    core_fit *fit = created(&subject.design);
-    fit_model_readings(fit, cases[i].sigma_a, cases[i].sigma_s_prime, subject.values);
+    const bool two = cases[i].count == 2;
+    struct subject subject = {.medium = {cases[i].sigma_a, cases[i].sigma_s_prime, 0, 1.4},
+                              .design = usual_design(two ? CORE_MODEL_BETTER : CORE_MODEL_TRANSPORT,
+                                                     cases[i].g, cases[i].count, cases[i].at)};
+    subject.design.axis = cases[i].by_frequency ? CORE_FIT_AXIS_FREQUENCY : CORE_FIT_AXIS_RADIUS;
+    subject.design.scale = two ? CORE_FIT_SCALE_ABSOLUTE : CORE_FIT_SCALE_FREE;
+    model_readings(&subject.design, cases[i].sigma_a, cases[i].sigma_s_prime, subject.values);
     set_errors(&subject, 3e-4);
-    core_fit_result result;
-    core_fit_run(fit, subject.values, subject.errors, &result, NULL);
-    core_fit_free(fit);
+    const core_fit_result result = run_alone(&subject.design, subject.values, subject.errors);
     printf("case %zu: status %d, off by %.2g, chi-squared %.2g\n", i, (int)result.status,
            off(&subject, &result.best), result.best.chi_squared);
     assert_true(result.status != CORE_FIT_STATUS_FITTED || off(&subject, &result.best) < 1e-6);
@@ -319,17 +333,9 @@ UNIT_TEST(a_noisy_set_with_a_free_factor_finds_the_better_minimum) {
        10.99},
   };
   for (size_t i = 0; i < sizeof cases / sizeof cases[0]; i++) {
-    const core_fit_design design = {.model = CORE_MODEL_TRANSPORT,
-                                    .moments = CORE_MOMENTS_EXACT,
-                                    .eta = 1.4,
-                                    .axis = CORE_FIT_AXIS_RADIUS,
-                                    .count = COUNT,
-                                    .at = cases[i].at,
-                                    .scale = CORE_FIT_SCALE_FREE};
-    core_fit *fit = created(&design);
-    core_fit_result result;
-    core_fit_run(fit, cases[i].values, cases[i].errors, &result, NULL);
-    core_fit_free(fit);
+    core_fit_design design = usual_design(CORE_MODEL_TRANSPORT, 0, COUNT, cases[i].at);
+    design.scale = CORE_FIT_SCALE_FREE;
+    const core_fit_result result = run_alone(&design, cases[i].values, cases[i].errors);
     printf("case %zu: status %d, chi-squared %.4g\n", i, (int)result.status,
            result.best.chi_squared);
     assert_true(result.best.chi_squared < cases[i].most);
@@ -344,14 +350,9 @@ static void compare_table(unsigned model, unsigned axis, double g) {
   for (int i = 0; i < PLACES; i++) {
     at[i] = axis == CORE_FIT_AXIS_RADIUS ? 0.05 * pow(2, i) : 0.02 * i;
   }
-  const core_fit_design design = {.model = model,
-                                  .moments = CORE_MOMENTS_EXACT,
-                                  .g = g,
-                                  .eta = 1.37,
-                                  .axis = axis,
-                                  .count = PLACES,
-                                  .at = at,
-                                  .scale = CORE_FIT_SCALE_ABSOLUTE};
+  core_fit_design design = usual_design(model, g, PLACES, at);
+  design.eta = 1.37;
+  design.axis = axis;
   core_fit *fit = created(&design);
   for (size_t i = 0; i < sizeof ratios / sizeof ratios[0]; i++) {
     const core_medium medium = {1.3 * ratios[i], 1.3 / (1 - g), g, design.eta};
@@ -491,14 +492,8 @@ static struct spread spread_of(unsigned scale, int count, double noise, int sets
   for (int i = 0; i < count; i++) {
     at[i] = 0.3 * pow(20, i / (count - 1.0));
   }
-  const core_fit_design design = {.model = CORE_MODEL_TRANSPORT,
-                                  .moments = CORE_MOMENTS_EXACT,
-                                  .g = 0.8,
-                                  .eta = 1.4,
-                                  .axis = CORE_FIT_AXIS_RADIUS,
-                                  .count = (size_t)count,
-                                  .at = at,
-                                  .scale = scale};
+  core_fit_design design = usual_design(CORE_MODEL_TRANSPORT, 0.8, (size_t)count, at);
+  design.scale = scale;
   core_fit *fit = created(&design);
   fit_model_readings(fit, 0.02, 1.1, clean);
   for (int i = 0; i < count; i++) {
@@ -549,13 +544,7 @@ static void expect_noise(unsigned scale, int count, double noise) {
 /* Readings at steady distances. */
 static void space_out(struct subject *subject, size_t count) {
   *subject = (struct subject){.medium = {.05, 1, 0, 1.4}};
-  subject->design = (core_fit_design){.model = CORE_MODEL_BETTER,
-                                      .moments = CORE_MOMENTS_EXACT,
-                                      .eta = 1.4,
-                                      .axis = CORE_FIT_AXIS_RADIUS,
-                                      .count = count,
-                                      .at = subject->at,
-                                      .scale = CORE_FIT_SCALE_ABSOLUTE};
+  subject->design = usual_design(CORE_MODEL_BETTER, 0, count, subject->at);
   for (size_t k = 0; k < count; k++) {
     subject->at[k] = 0.5 * (double)(k + 1);
   }
@@ -581,19 +570,10 @@ static void expect_aperture(double ratio, double g, double eta, double NA, uint6
     values[i] = rings[i].R_per_mm2;
     errors[i] = rings[i].error_per_mm2;
   }
-  const core_fit_design design = {.model = CORE_MODEL_TRANSPORT,
-                                  .moments = CORE_MOMENTS_EXACT,
-                                  .g = g,
-                                  .eta = eta,
-                                  .axis = CORE_FIT_AXIS_RADIUS,
-                                  .count = RINGS,
-                                  .at = at,
-                                  .scale = CORE_FIT_SCALE_ABSOLUTE,
-                                  .detector_na = NA};
-  core_fit_result result;
-  core_fit *fit = created(&design);
-  core_fit_run(fit, values, errors, &result, NULL);
-  core_fit_free(fit);
+  core_fit_design design = usual_design(CORE_MODEL_TRANSPORT, g, RINGS, at);
+  design.eta = eta;
+  design.detector_na = NA;
+  const core_fit_result result = run_alone(&design, values, errors);
   const double off_a = (result.best.sigma_a_per_mm - sigma_a) / sqrt(result.covariance.a_a);
   const double off_s =
       (result.best.sigma_s_prime_per_mm - sigma_s * (1 - g)) / sqrt(result.covariance.s_s);
@@ -614,42 +594,25 @@ UNIT_TEST(light_within_an_aperture_gives_back_its_coefficients) {
  * angles is R. */
 UNIT_TEST(apertures_of_designs) {
   static const double at[] = {0.3, 1, 3};
-  core_fit_design design = {.model = CORE_MODEL_TRANSPORT,
-                            .moments = CORE_MOMENTS_EXACT,
-                            .g = 0.5,
-                            .eta = 1.4,
-                            .axis = CORE_FIT_AXIS_RADIUS,
-                            .count = 3,
-                            .at = at,
-                            .scale = CORE_FIT_SCALE_ABSOLUTE};
+  core_fit_design design = usual_design(CORE_MODEL_TRANSPORT, 0.5, 3, at);
   double all[3], narrow[3], known[3], ratio[3];
-  core_fit *fit = created(&design);
-  fit_model_readings(fit, 0.1, 1, all);
-  core_fit_free(fit);
+  model_readings(&design, 0.1, 1, all);
   design.detector_na = 1;
-  fit = created(&design);
-  fit_model_readings(fit, 0.1, 1, narrow);
-  core_fit_free(fit);
+  model_readings(&design, 0.1, 1, narrow);
   assert_memory_equal(all, narrow, sizeof all);
   design.detector_na = 0.3;
-  fit = created(&design);
-  fit_model_readings(fit, 0.1, 1, narrow);
-  core_fit_free(fit);
+  model_readings(&design, 0.1, 1, narrow);
   for (size_t i = 0; i < 3; i++) {
     assert_true(narrow[i] > 0.09 * 0.5 * all[i] && narrow[i] < 0.09 * 1.5 * all[i]);
   }
   design.g = 0;
   design.eta = 1.2;
-  fit = created(&design);
-  fit_model_readings(fit, 0.02, 2, known);
-  core_fit_free(fit);
+  model_readings(&design, 0.02, 2, known);
   design.g = 0.5;
   design.eta = 1.4;
   design.scale = CORE_FIT_SCALE_REFERENCE;
   design.reference = (core_medium){0.02, 2, 0, 1.2};
-  fit = created(&design);
-  fit_model_readings(fit, 0.1, 1, ratio);
-  core_fit_free(fit);
+  model_readings(&design, 0.1, 1, ratio);
   for (size_t i = 0; i < 3; i++) {
     assert_true(fabs(ratio[i] * known[i] / narrow[i] - 1) < 3e-4);
   }
@@ -689,11 +652,8 @@ UNIT_TEST(readings_that_rise_with_the_distance_are_implausible) {
   static const unsigned models[] = {CORE_MODEL_TRANSPORT, CORE_MODEL_BETTER, CORE_MODEL_BURLEY};
   static const double at[] = {2, 1, 4, 8}, discs[] = {0.4, 0.4, 0.4, 0.4};
   static const double rising[] = {0.01, 0.001, 0.1, 1}, falling[] = {0.01, 0.03, 0.002, 0.0002};
-  struct subject subject = {
-      .design = {
-          .moments = CORE_MOMENTS_EXACT, .eta = 1.4, .axis = CORE_FIT_AXIS_RADIUS, .count = 4}};
+  struct subject subject = {.design = usual_design(0, 0, 4, at)};
   core_fit_design *design = &subject.design;
-  design->at = at;
   for (size_t i = 0; i < sizeof models / sizeof models[0]; i++) {
     design->model = models[i];
     for (int k = 0; k < 4; k++) {
@@ -787,16 +747,12 @@ UNIT_TEST(the_inverse_gives_what_the_search_gives) {
   uint64_t random = unit_seed();
   for (size_t i = 0; i < 2 * sizeof rows / sizeof rows[0]; i++) {
     const bool reference = i % 2 == 1;
-    const core_fit_design design = {
-        .model = CORE_MODEL_TRANSPORT,
-        .moments = CORE_MOMENTS_EXACT,
-        .g = rows[i / 2].g,
-        .eta = rows[i / 2].eta,
-        .axis = rows[i / 2].axis,
-        .count = 2,
-        .at = rows[i / 2].at,
-        .scale = reference ? CORE_FIT_SCALE_REFERENCE : CORE_FIT_SCALE_ABSOLUTE,
-        .reference = {.05, 1 / (1 - rows[i / 2].g), rows[i / 2].g, rows[i / 2].eta}};
+    const double g = rows[i / 2].g, eta = rows[i / 2].eta;
+    core_fit_design design = usual_design(CORE_MODEL_TRANSPORT, g, 2, rows[i / 2].at);
+    design.eta = eta;
+    design.axis = rows[i / 2].axis;
+    design.scale = reference ? CORE_FIT_SCALE_REFERENCE : CORE_FIT_SCALE_ABSOLUTE;
+    design.reference = (core_medium){.05, 1 / (1 - g), g, eta};
     compare_inverse(&design, rows[i / 2].at, (unit_is_long() ? 10 : 2) * sets(), &random);
   }
 }
@@ -813,11 +769,8 @@ UNIT_TEST(slabs_a_fraction_of_a_mm_thick_come_back) {
   for (size_t i = 0; i < 6; i++) {
     const double sigma_t = paths / thickness_mm[i % 3];
     struct subject subject = {
-        .medium = {.05 * sigma_t, .95 * sigma_t, 0, 1.4, thickness_mm[i % 3]},
-        .design = {.model = models[i / 3], .eta = 1.4, .count = 4, .at = subject.at}};
-    subject.design.moments = CORE_MOMENTS_EXACT;
-    subject.design.axis = CORE_FIT_AXIS_RADIUS;
-    subject.design.scale = CORE_FIT_SCALE_ABSOLUTE;
+        .medium = {.05 * sigma_t, .95 * sigma_t, 0, 1.4, thickness_mm[i % 3]}};
+    subject.design = usual_design(models[i / 3], 0, 4, subject.at);
     subject.design.thickness_mm = thickness_mm[i % 3];
     for (size_t k = 0; k < 4; k++) {
       subject.at[k] = (2 + 2.5 * (double)k) / sigma_t;

@@ -69,29 +69,18 @@ static struct value random_value(uint64_t *state, double g, double ratio_most) {
   return value;
 }
 
+/* For CORE_QUANTITY_RADIUS the radius that is drawn by u. */
 static double eval(const core_varying *varying, enum core_quantity quantity,
                    const struct value *value) {
+  const double in = quantity == CORE_QUANTITY_RADIUS ? value->u : value->r;
   if (varying->evaluator == CORE_EVALUATOR_F64) {
     double out;
-    core_varying_eval(varying, quantity, 1, &value->sigma_a, &value->sigma_s, &value->r, &out);
+    core_varying_eval(varying, quantity, 1, &value->sigma_a, &value->sigma_s, &in, &out);
     return out;
   }
-  const float a = (float)value->sigma_a, s = (float)value->sigma_s, r = (float)value->r;
+  const float a = (float)value->sigma_a, s = (float)value->sigma_s, narrow = (float)in;
   float out;
-  core_varying_eval(varying, quantity, 1, &a, &s, &r, &out);
-  return (double)out;
-}
-
-static double sample(const core_varying *varying, const struct value *value) {
-  if (varying->evaluator == CORE_EVALUATOR_F64) {
-    double out;
-    core_varying_eval(varying, CORE_QUANTITY_RADIUS, 1, &value->sigma_a, &value->sigma_s, &value->u,
-                      &out);
-    return out;
-  }
-  const float a = (float)value->sigma_a, s = (float)value->sigma_s, u = (float)value->u;
-  float out;
-  core_varying_eval(varying, CORE_QUANTITY_RADIUS, 1, &a, &s, &u, &out);
+  core_varying_eval(varying, quantity, 1, &a, &s, &narrow, &out);
   return (double)out;
 }
 
@@ -169,7 +158,8 @@ UNIT_TEST(dipoles_and_burley_are_within_the_stated_error) {
       core_profile profile = unit_profile(dipoles[m], CORE_EVALUATOR_F64, &medium, NULL);
       worst = fmax(worst, compare(&f64, &f32, &value, &profile));
       double u;
-      const double r = sample(&f64, &value), r_f32 = sample(&f32, &value);
+      const double r = eval(&f64, CORE_QUANTITY_RADIUS, &value);
+      const double r_f32 = eval(&f32, CORE_QUANTITY_RADIUS, &value);
       core_eval_f64(&profile, CORE_QUANTITY_CDF, 1, &r, &u);
       assert_true(fabs(u - value.u) <= 1e-13);
       core_eval_f64(&profile, CORE_QUANTITY_CDF, 1, &r_f32, &u);
@@ -207,7 +197,7 @@ UNIT_TEST(transport_is_within_its_tolerance) {
         double r;
         core_sample_f64(&profile, 1, &value.u, &r);
         if (r < profile.reach.most_mm) {
-          worst_radius = fmax(worst_radius, fabs(sample(&f64, &value) / r - 1));
+          worst_radius = fmax(worst_radius, fabs(eval(&f64, CORE_QUANTITY_RADIUS, &value) / r - 1));
         }
         const double sigma_t = value.sigma_a + value.sigma_s * (1 - g);
         value.r = rounded(unit_random_log(&random, 1e-3, 40) / sigma_t);
@@ -293,7 +283,8 @@ static double compare_medium(const core_varying *varying, const rows *all, struc
     x = u <= 0.5 ? rows_radius(&row, u, &found) : rows_radius_of_rest(&row, 1 - u, &found);
     value.r = x / sigma_t;
     if (check(varying, &value, &range) == CORE_VALUE_OK) {
-      share = fmax(share, fabs(sample(varying, &value) / value.r - 1) / varying->surface_error);
+      const double drawn = eval(varying, CORE_QUANTITY_RADIUS, &value);
+      share = fmax(share, fabs(drawn / value.r - 1) / varying->surface_error);
     }
   }
   return share;
@@ -469,21 +460,14 @@ static void compare_bits(const core_varying *whole, const core_varying *pieces, 
     u[i + 1] = (float)value.u;
   }
   for (int i = 0; i <= QUANTITIES; i++) {
+    const enum core_quantity quantity = i < QUANTITIES ? quantities[i] : CORE_QUANTITY_RADIUS;
+    const float *in = i < QUANTITIES ? r : u;
     for (size_t cut = 0; cut <= LENGTH_MAX; cut += step) {
       for (int piece = 0; piece < 2; piece++) {
         const size_t at = 1 + (piece == 0 ? 0 : cut), n = piece == 0 ? cut : LENGTH_MAX - cut;
-        if (i < QUANTITIES) {
-          core_varying_eval(pieces, quantities[i], n, a + at, s + at, r + at, other + at - 1);
-        } else {
-          core_varying_eval(pieces, CORE_QUANTITY_RADIUS, n, a + at, s + at, u + at,
-                            other + at - 1);
-        }
+        core_varying_eval(pieces, quantity, n, a + at, s + at, in + at, other + at - 1);
       }
-      if (i < QUANTITIES) {
-        core_varying_eval(whole, quantities[i], LENGTH_MAX, a + 1, s + 1, r + 1, one);
-      } else {
-        core_varying_eval(whole, CORE_QUANTITY_RADIUS, LENGTH_MAX, a + 1, s + 1, u + 1, one);
-      }
+      core_varying_eval(whole, quantity, LENGTH_MAX, a + 1, s + 1, in + 1, one);
       assert_memory_equal(one, other, sizeof one);
     }
   }

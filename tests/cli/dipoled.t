@@ -242,3 +242,12 @@ $ export DIPOLED_LOG_LEVEL=error; for one in 'skin1 1,2,0,1.3' 'a 1,2,0,1.3 1,2,
 ! dipoled: media: line 1: layers are SIGMA_A,SIGMA_S,G,ETA[,THICKNESS_MM]
 ! dipoled: media: line 257: a file has at most 256 media
 ! dipoled: media: line 1: the line is too long
+
+## Certificates need an address with TLS.
+$ for one in '--certificate a --key b --client-ca c' '--certificate a --key b' '--key b'; do dipoled --log-level error --listen unix:w $one || echo $?; done
+1
+1
+1
+! dipoled: --client-ca: no address has TLS: give --listen or --modbus tls:HOST:PORT, too
+! dipoled: --certificate: no address has TLS: give --listen or --modbus tls:HOST:PORT, too
+! dipoled: --key: no address has TLS: give --listen or --modbus tls:HOST:PORT, too

@@ -1,13 +1,11 @@
 """`dipole convert`: from convention to convention and back; tests/cli/convert.t has files of others."""
 
-import csv
-import io
 import re
 from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
-from command_line import dipole
+from command_line import dipole, read_csv
 
 SOURCE = Path(__file__).parents[2] / "clients" / "cli" / "conventions.def"
 UNITS = dict(re.findall(r'^CONVENTION\("([a-z-]+)", \w+, \w+, (\d+)', SOURCE.read_text(), re.MULTILINE))
@@ -15,8 +13,7 @@ UNITS = dict(re.findall(r'^CONVENTION\("([a-z-]+)", \w+, \w+, (\d+)', SOURCE.rea
 
 def convert(*arguments: str) -> list[dict[str, float]]:
     run = dipole("convert", *arguments, "--format", "csv", quiet=False)
-    rows = csv.DictReader(io.StringIO(run.stdout))
-    return [{name: float(text or "nan") for name, text in row.items()} for row in rows]
+    return [{name: float(text or "nan") for name, text in row.items()} for row in read_csv(run.stdout)]
 
 
 @pytest.mark.parametrize("g", [0, 0.7])

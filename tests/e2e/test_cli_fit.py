@@ -1,13 +1,12 @@
 """dipole fit: reads readings by column names, and tells of each sample what was found, or why it is
 no success."""
 
-import csv
-import io
 import json
 
 import numpy as np
 import pytest
 from command_line import BAD_ROWS, dipole
+from command_line import read_csv as rows
 from dipole import Medium
 from pictures import svg_texts
 
@@ -24,10 +23,6 @@ def readings(slave) -> dict[str, np.ndarray]:
 
 def lines(name: str, R: np.ndarray, at=AT_MM, error: float = 0.01) -> str:
     return "".join(f"{name},{r!r},{v!r},{error * v!r}\n" for r, v in zip(at.tolist(), R.tolist()))
-
-
-def rows(text: str) -> list[dict[str, str]]:
-    return list(csv.DictReader(io.StringIO(text)))
 
 
 # ---- what is found -------------------------------------------------------------------------------

@@ -1,12 +1,11 @@
 """dipole gather: files of points and queries, what is written, and what is said about faults."""
 
 import csv
-import io
 import subprocess
 
 import numpy as np
 import pytest
-from command_line import PROGRAM, Proxy, busy
+from command_line import PROGRAM, Proxy, busy, read_csv
 from daemons import Daemon, finished
 from dipole import Client, Points, wire
 from frames import SKIN
@@ -46,8 +45,7 @@ def queries(tmp_path) -> str:
 
 
 def columns_of(text: str, channels: int) -> np.ndarray:
-    rows = list(csv.DictReader(io.StringIO(text)))
-    return np.array([[float(row[f"M_{c + 1}"]) for c in range(channels)] for row in rows])
+    return np.array([[float(row[f"M_{c + 1}"]) for c in range(channels)] for row in read_csv(text)])
 
 
 def run(*words: str) -> subprocess.CompletedProcess[str]:

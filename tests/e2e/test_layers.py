@@ -1,10 +1,9 @@
 """Media of several layers: the same values through every message, while small requests go on."""
 
-import csv
 
 import numpy as np
 import pytest
-from command_line import dipole
+from command_line import dipole, read_csv
 from dipole import ArgumentError, Client, Grid, Medium, Points, Refused, Stack
 from test_http import post
 
@@ -67,7 +66,7 @@ def test_named_layers_are_a_medium_everywhere(daemon, tmp_path):
 
     def lines(*arguments: str, status: int = 0, stdin: str = "") -> list[dict[str, str]]:
         made = dipole(*arguments, "--connect", one.url(), "--format", "csv", status=status, stdin=stdin)
-        return list(csv.DictReader(made.stdout.splitlines()))
+        return read_csv(made.stdout)
 
     choice = ("--model", "transport", "--evaluator", "f64", "--tolerance", "0.1", "--wanted", "R", "--r", "0.5,1,2")
     rows = lines("eval", "--medium", "skin-dark", *choice)

@@ -10,16 +10,14 @@ enum { MEDIA = 7, PAYLOAD_MAX = 4096 };
 static const double albedos[MEDIA] = {.1, .2, .3, .4, .5, .6, .7};
 static const double lengths_mm[MEDIA] = {1, 2, 3, 4, 5, 6, 7};
 
-static dipole_invert_query invert_query(void) {
-  return (dipole_invert_query){.model = 2,
-                               .moments = DIPOLE_EXACT,
-                               .given = DIPOLE_DIFFUSE_MEAN_FREE_PATH,
-                               .g = 0.5,
-                               .eta = 1.4,
-                               .albedos = albedos,
-                               .lengths_mm = lengths_mm,
-                               .medium_count = MEDIA};
-}
+static const dipole_invert_query query = {.model = 2,
+                                          .moments = DIPOLE_EXACT,
+                                          .given = DIPOLE_DIFFUSE_MEAN_FREE_PATH,
+                                          .g = 0.5,
+                                          .eta = 1.4,
+                                          .albedos = albedos,
+                                          .lengths_mm = lengths_mm,
+                                          .medium_count = MEDIA};
 
 /* ---- inversions ---------------------------------------------------------------------------- */
 
@@ -119,7 +117,6 @@ static void assert_inversion(const dipole_inversion *inversion, uint64_t missing
 
 /* Runs a script. expected: whether the call must succeed; else it must fail with kind PROTOCOL. */
 static void run_invert(invert_script script, bool expected, uint64_t missing) {
-  const dipole_invert_query query = invert_query();
   dipole_inversion *inversion = NULL;
   dipole_error error = {0};
   dipole_client *client = peer_begin(invert, &script);
@@ -157,15 +154,15 @@ enum { SAMPLES = 600 };
 
 UNIT_TEST(numbers_are_the_cores) {
   const core_draw draw = {CORE_DRAW_RANDOM, SAMPLES, 0, 7};
-  dipole_sample_query query = {
+  dipole_sample_query drawn = {
       .evaluator = DIPOLE_F64, .draw = DIPOLE_DRAW_RANDOM, .sample_count = SAMPLES, .seed = 7};
   double u[SAMPLES], wanted[SAMPLES];
   float u_f32[SAMPLES], wanted_f32[SAMPLES];
-  assert_true(dipole_sample_numbers(&query, 0, SAMPLES, u, NULL));
+  assert_true(dipole_sample_numbers(&drawn, 0, SAMPLES, u, NULL));
   core_draw_f64(&draw, 0, SAMPLES, wanted);
   assert_memory_equal(u, wanted, sizeof u);
-  query.evaluator = DIPOLE_LUT;
-  assert_true(dipole_sample_numbers(&query, 10, SAMPLES - 10, u_f32, NULL));
+  drawn.evaluator = DIPOLE_LUT;
+  assert_true(dipole_sample_numbers(&drawn, 10, SAMPLES - 10, u_f32, NULL));
   core_draw_f32(&draw, 10, SAMPLES - 10, wanted_f32);
   assert_memory_equal(u_f32, wanted_f32, (SAMPLES - 10) * sizeof(float));
 }
