@@ -52,7 +52,8 @@ void solver_exitance_place(exitance_grid *to, const core_isa *isa, double kappa,
   *to = (exitance_grid){.isa = isa, .nodes = nodes, .point = {CMPLX(0, low)}};
   memcpy(to->tier_end, tier_end, sizeof to->tier_end);
   const double last = last_of(to);
-  double end = kappa > 0 ? fmin(last / 4, (1 - share) * kappa) : WIDTH_WHITE * scale;
+  const double width = kappa > 0 ? fmin(last / 4, (1 - share) * kappa) : WIDTH_WHITE * scale;
+  double end = fmax(width, ldexp(last, EXITANCE_PANELS_SPARE - EXITANCE_PANELS_MAX));
   while (creal(to->point[to->panels]) < last) {
     assert(to->panels < EXITANCE_PANELS_MAX);
     to->point[++to->panels] = CMPLX(end, fmin(low + RISE * end, high));

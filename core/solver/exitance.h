@@ -14,6 +14,7 @@ enum {
   EXITANCE_TIERS = 4,
   EXITANCE_NODES_MAX = 16,
   EXITANCE_PANELS_MAX = 40,
+  EXITANCE_PANELS_SPARE = 4, /* at least so many less one are left when a path is laid */
   EXITANCE_TAIL_TERMS = 4
 };
 
@@ -29,7 +30,8 @@ typedef struct exitance_grid {
 } exitance_grid;
 
 /* Lays the path of wavenumbers k over which the inverse Hankel transform of X integrates: panels
- * that double in width, with the same number of nodes on each (8 to EXITANCE_NODES_MAX). The path
+ * that double in width, the first one not below 2^-36 K, with the same number of nodes on each (8 to
+ * EXITANCE_NODES_MAX). The path
  * begins at Im k = share kappa, where kappa (0, or at least 1e-9) is the decay rate of R far away
  * and share is from 0 to less than 1. `scale`, the least scaled extinction that light meets, limits
  * Im k. tier_end is ascending. */

@@ -190,12 +190,15 @@ static bool find_rate(struct grid *to, const struct solver_layers *of, const cor
 
 /* Where no layer is like a half space: scaled mean free paths below which a first layer is thin, and
  * all layers of finite depth. Largest k of T over the scaled extinction that the functions of angle
- * resolve in a layer that light crosses, and in the last one. R goes on: little of its light crosses
- * such layers, and two grids that end at the same k would guess alike beyond. */
+ * resolve in a layer that light crosses, and in the last one. R goes on to RESOLVED_ABOVE times that,
+ * as little of its light crosses such layers, and with fewer degrees to less: grids that end at the
+ * same k would guess alike beyond. */
 #define THIN 2.0
 #define THIN_ALL 5.0
 #define RESOLVED 20
 #define RESOLVED_LAST 54
+#define RESOLVED_ABOVE 4.0
+#define RESOLVED_DEGREES 16.0
 
 /* A layer of this depth or more, below a film at most, is like a half space: X differs by less than
  * about e^(-k depth), which goes on as from k = like_most / depth. Below LIKE_FROM, relative to
@@ -298,10 +301,14 @@ static size_t find_like(const struct grid *of, const struct solver_layers *all) 
   return all->count;
 }
 
+/* Adds panels up to k = last, which double in width where they all have room. */
 static void extend_wavenumbers(exitance_grid *to, double last) {
   double *end = &to->tier_end[TIERS - 1];
+  const double room = (double)(EXITANCE_PANELS_MAX - to->panels);
+  const double wider = fmax(2, fn_exp(fn_log(last / *end) / room) * (1 + 1e-9));
   while (*end < LAST_ALIKE * last) {
-    *end = 2 * *end > 0.7 * last ? last : 2 * *end;
+    const double next = wider * *end;
+    *end = next > 0.7 * last ? last : next;
     assert(to->panels < EXITANCE_PANELS_MAX);
     to->point[to->panels + 1] = CMPLX(*end, cimag(to->point[to->panels]));
     to->panels++;
@@ -328,7 +335,8 @@ static bool place_wavenumbers(struct grid *to, const struct solver_layers *of, c
   const double round = 1 - fabs(to->layer[0].g);
   const double thin =
       first < THIN || depth < THIN_ALL ? THIN * (1 + round * round * (1 / fmin(1, first) - 1)) : 1;
-  double last_above = fmax(4, thin * most);
+  const double finer = (double)by->tier[TIERS - 1].rules.degrees / RESOLVED_DEGREES;
+  double last_above = fmin(fmax(4, thin * most), finer * fmax(4, RESOLVED_ABOVE * resolved));
   double last = fmax(4, fmin(resolved, thin * most));
   to->layered_most = last_above;
   to->like = to->backward ? of->count : find_like(to, of);

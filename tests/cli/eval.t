@@ -545,3 +545,7 @@ $ printf '1.0\n1\n' > a.mci; printf '1.0\n1\na.mco A\n1\n.1 .1\n1 1 1\n9\n1\n' >
 ! dipole eval: a.mci:2: a run is missing: expected the name of its output file
 ! dipole eval: b.mci:8: 9 layers: allowed: 1 to 8
 ! dipole eval: c.mci:9: '1.4 1 10 .8 .1 5': expected n, mua, mus, g and d of a layer, in cm
+
+$ dipole eval --layer 0,1,0,1.4,1.01e-4 --layer 0,1e-6,0,1.3 --r 1 --tolerance 1
+! dipole eval: bad-value: thickness of layer 1 of medium 1: allowed: thicker layers: R of these is not found; mc walks them (--layer)
+? 1
