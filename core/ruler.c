@@ -185,14 +185,16 @@ double core_model_error(const core_profile *profile, const core_profile *transpo
   if (transport == NULL) {
     return stated_error(profile, wanted, requested->range);
   }
-  double r[CORE_RULER_RADII] = {0}, error[CORE_RULER_RADII];
+  double r[CORE_RULER_RADII], error[CORE_RULER_RADII];
   double most =
       (wanted & CORE_QUANTITY_ALBEDO) != 0 ? error_of_albedo(profile, transport) : (double)NAN;
   bool between = false;
   const bool at_radii = (wanted & (COMPARED | CORE_QUANTITY_S)) != 0 && requested->grid.count > 0;
   const bool single = profile->evaluator != CORE_EVALUATOR_F64;
   const size_t n = at_radii ? choose_radii(requested, single, r, &between) : 0;
-  core_model_errors_at(profile, transport, wanted, n, r, error);
+  if (n > 0) {
+    core_model_errors_at(profile, transport, wanted, n, r, error);
+  }
   for (size_t i = 0; i < n; i++) {
     most = larger_known(most, error[i] + (between ? margin_at(error, n, i) : 0));
   }
