@@ -164,8 +164,11 @@ static bool run_load(report *of, measured *result) {
 
 /* ---- the command line ------------------------------------------------------------------------ */
 
+#define SECONDS_LEAST 0.01
+#define SECONDS_MOST 3600.0
 #define RADIUS_LEAST_MM 0.01
 #define RADIUS_MOST_MM 10.0
+enum { UNDER_WAY_MAX = 1 << 25 }; /* radii */
 
 static int check(cli_settings *settings) {
   const double seconds = settings->seconds.value;
@@ -176,8 +179,8 @@ static int check(cli_settings *settings) {
                 {"in-flight", settings->in_flight.value, DIPOLE_IN_FLIGHT_MAX},
                 {"radii", settings->radii.value, RADII_MAX},
                 {"large-radii", settings->large_radii.value, RADII_MAX}};
-  if (!(seconds >= 0.01 && seconds <= 3600)) {
-    return cli_fail_usage("--seconds: give a number from 0.01 to 3600");
+  if (!(seconds >= SECONDS_LEAST && seconds <= SECONDS_MOST)) {
+    return cli_fail_usage("--seconds: give a number from %g to %g", SECONDS_LEAST, SECONDS_MOST);
   }
   for (size_t i = 0; i < sizeof counts / sizeof counts[0]; i++) {
     if (counts[i].value < 1 || counts[i].value > counts[i].most) {
@@ -185,9 +188,10 @@ static int check(cli_settings *settings) {
                             (unsigned long long)counts[i].most);
     }
   }
-  if (counts[0].value * counts[1].value * counts[2].value > 33554432) { /* radii under way */
+  if (counts[0].value * counts[1].value * counts[2].value > UNDER_WAY_MAX) {
     return cli_fail_usage(
-        "--connections, --in-flight, --radii: give less: their product is at most 33554432");
+        "--connections, --in-flight, --radii: give less: their product is at most %d",
+        UNDER_WAY_MAX);
   }
   if (!cli_medium_given(settings) && settings->tissue.count == 0) {
     static char name[] = "skin1", *names[] = {name};

@@ -538,9 +538,12 @@ enum MHD_Result http_connection_take(void *context, struct MHD_Connection *conne
     return *body_bytes > 0 ? take_body(c, body, body_bytes) : take_end(c);
   case READY:
     return send_reply(c);
-  default:
+  case REPLIED:
+  case RUNS:
+  case GIVEN_UP:
     return MHD_NO;
   }
+  return MHD_NO;
 }
 
 /* ---- the client of the worker ---------------------------------------------------------------- */
