@@ -1002,11 +1002,11 @@ static double find_end(const struct source *source) {
   return last;
 }
 
-/* Lays panels up to e^end, with their errors. */
+/* Lays panels up to e^end, with their errors; none if that is not beyond FIRST. */
 static void lay_panels_solved(const struct source *source, double end, struct panels *panels,
                               core_added_errors *added) {
   const double first = real_log(FIRST, 0);
-  const double count = ceil((end - first) / PANEL_WIDTH) - 1;
+  const double count = fmax(0, ceil((end - first) / PANEL_WIDTH) - 1);
   const double last = fma(count, PANEL_WIDTH, first);
   add_segment(panels, first, PANEL_WIDTH, (size_t)count);
   if (end > last + LEAST_WIDTH) {

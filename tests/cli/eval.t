@@ -549,3 +549,7 @@ $ printf '1.0\n1\n' > a.mci; printf '1.0\n1\na.mco A\n1\n.1 .1\n1 1 1\n9\n1\n' >
 $ dipole eval --layer 0,1,0,1.4,1.01e-4 --layer 0,1e-6,0,1.3 --r 1 --tolerance 1
 ! dipole eval: bad-value: thickness of layer 1 of medium 1: allowed: thicker layers: R of these is not found; mc walks them (--layer)
 ? 1
+
+$ dipole eval --model transport-transmitted --layer 4,1,0,1.4,1e-4 --layer 0,100,.99,1.4,9e3 --r 1 --tolerance 1
+! dipole eval: model transport-transmitted: bad-value: thickness of layer 1 of medium 1: allowed: other layers: T of these is not found; mc walks them (--layer)
+? 1
