@@ -665,7 +665,6 @@ static enum job_outcome start_eval(struct job *job, const struct job_request *re
   eval->repeated = repeat_find(&job->context->repeat, request->payload,
                                request->header->payload_bytes, &eval->radii);
   if (eval->repeated != NULL) {
-    eval->payload = request->payload;
     job->latency = LATENCY_EVAL_SHORT;
     job->part_bytes = eval->repeated->reply_bytes;
     return JOB_NEXT_PART;
@@ -694,7 +693,7 @@ static enum job_outcome begin_eval_part(struct job *job, uint8_t *payload) {
   struct eval_job *eval = eval_of(job);
   if (eval->repeated != NULL) {
     struct job_context *context = job->context;
-    repeat_reply(eval->repeated, &context->batch, stats_of(eval), eval->payload, eval->radii,
+    repeat_reply(eval->repeated, &context->batch, stats_of(eval), job->payload, eval->radii,
                  context->radii, payload);
     return JOB_DONE;
   }

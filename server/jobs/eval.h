@@ -11,7 +11,6 @@
 struct eval_job {
   struct job job;
   struct repeat_entry *repeated; /* the request that this one repeats; NULL: none */
-  const uint8_t *payload;        /* of the request, if it repeats another one */
 
   eval_request request; /* if the job is a sample: its radii are the numbers u */
   size_t value_bytes;   /* of a radius, and of a value; choosing an evaluator does not change it */

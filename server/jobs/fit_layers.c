@@ -8,7 +8,6 @@
 
 struct layers_job {
   struct job job;
-  const uint8_t *payload;
   struct lookup lookup; /* gets the reply */
 };
 
@@ -88,14 +87,13 @@ static enum job_outcome start_layers(struct job *job, const struct job_request *
   if (fault.field != NULL) {
     return job_refuse(job, job_error(fault));
   }
-  layers->payload = from->payload;
   job_init_other(job, &layers->lookup, from);
   return JOB_GOES_ON;
 }
 
 static enum job_outcome step_layers(struct job *job, uint64_t *budget) {
   struct layers_job *layers = layers_of(job);
-  const enum job_outcome outcome = job_get(job, &layers->lookup, &reply_kind, layers->payload,
+  const enum job_outcome outcome = job_get(job, &layers->lookup, &reply_kind, job->payload,
                                            job->header.payload_bytes, CACHE_SOLVED);
   *budget -= *budget < JOB_STEP_RADII ? *budget : JOB_STEP_RADII;
   if (outcome != JOB_GOES_ON) {

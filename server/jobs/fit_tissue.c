@@ -24,7 +24,6 @@ struct places {
 
 struct tissue_fit {
   struct job job;
-  const uint8_t *payload;
   wire_fit_tissue_request fixed;
   schema_layout layout;
   core_tissue tissue;
@@ -39,7 +38,7 @@ struct tissue_fit {
 JOB_STRUCTURE(struct tissue_fit, tissue_fit_of)
 
 static const double *numbers_of(const struct tissue_fit *of, unsigned part) {
-  return (const double *)(const void *)(of->payload + of->layout.parts[part].at);
+  return (const double *)(const void *)(of->job.payload + of->layout.parts[part].at);
 }
 
 /* ---- places in the cache --------------------------------------------------------------------- */
@@ -130,12 +129,11 @@ static wire_error prepare_search(struct tissue_fit *of) {
 }
 
 static wire_error check_request(struct tissue_fit *of, const struct job_request *from) {
-  of->payload = from->payload;
   of->layout = from->layout;
   wire_get_fit_tissue_request(from->payload, &of->fixed);
   wire_error error =
       tissue_read(&of->tissue, of->fixed.tissue, of->fixed.haemoglobin,
-                  of->payload + of->layout.parts[PROPERTY].at, of->fixed.property_count);
+                  of->job.payload + of->layout.parts[PROPERTY].at, of->fixed.property_count);
   error = error.status == WIRE_STATUS_OK ? prepare_search(of) : error;
   return error.status == WIRE_STATUS_OK ? take_places(of) : error;
 }

@@ -26,6 +26,7 @@ enum job_outcome job_start(struct job_slot *slot, struct job_request *request) {
   job->latency = request->type->latency;
   job->context = request->context;
   job->header = *request->header;
+  job->payload = request->payload;
   job->owed_radii = 0;
   job->rests = false;
   job->large = false;
@@ -213,6 +214,31 @@ wire_error job_too_large(const char *field, uint64_t most, const char *what) {
   char allowed[80];
   snprintf(allowed, sizeof allowed, "at most %llu %s", (unsigned long long)most, what);
   return wire_error_make(WIRE_STATUS_TOO_LARGE, field, allowed);
+}
+
+/* ---- replies ----------------------------------------------------------------------------------- */
+
+enum job_outcome job_reply(struct job *job, const void *head) {
+  const schema_payload *reply = job->kind->reply;
+  assert(reply->fixed_bytes <= sizeof job->head);
+  memcpy(job->head, head, reply->fixed_bytes);
+  job->part_bytes = schema_bytes(reply, head);
+  if (job->part_bytes <= job->context->server->options.max_frame_bytes) {
+    return JOB_NEXT_PART;
+  }
+  const char *count = reply->parts[0].count[0].name;
+  return schema_field_of(job->kind->request, count) == NULL
+             ? JOB_NEXT_PART /* the daemon's own lists have no limit */
+             : job_refuse(job, wire_error_make(WIRE_STATUS_TOO_LARGE, count,
+                                               "fewer: this reply exceeds max_frame_bytes"));
+}
+
+void job_put_reply(struct job *job, uint8_t *payload) {
+  const struct job_kind *kind = job->kind;
+  memcpy(payload, job->head, kind->reply->fixed_bytes);
+  if (kind->put != NULL) {
+    kind->put(job, payload + kind->reply->fixed_bytes);
+  }
 }
 
 void job_parts_cut(struct job_parts *parts, uint64_t total, uint64_t most) {

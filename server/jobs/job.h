@@ -7,7 +7,8 @@
  *   JOB_GOES_ON if that takes steps. begin_part() is then given room for part_bytes, and step() is
  *   called until the part is complete. A reply that is larger than a frame has several parts, so
  *   that step() returns JOB_NEXT_PART again. After JOB_DONE or JOB_REFUSED, end() releases what the
- *   job holds.
+ *   job holds. Where the reply is one part whose first structure says its size, the job gives that
+ *   to job_reply(), and put() takes the place of begin_part().
  *
  * For example, an eval: start -> NEXT_PART, begin_part -> GOES_ON, step -> WAITS (its profile is
  * being prepared), step -> GOES_ON, step -> DONE, end.
@@ -94,7 +95,8 @@ struct job_kind {
   enum job_outcome (*start)(struct job *job, const struct job_request *request);
 
   /* Begins to write a part to `payload`: part_bytes at a multiple of 8, which stay valid until the
-   * part is complete. Returns GOES_ON or DONE. A detached job completes the part at once. */
+   * part is complete. Returns GOES_ON or DONE. A detached job completes the part at once. NULL if the
+   * job calls job_reply(). */
   enum job_outcome (*begin_part)(struct job *job, uint8_t *payload);
 
   /* Does at most about one slice of work and subtracts its cost, in radii of a dipole, from
@@ -110,6 +112,10 @@ struct job_kind {
 
   /* What job_start() checks before start(); NULL: start() checks the payload. */
   const schema_payload *request;
+
+  /* For job_reply(): the reply, and what writes its parts. NULL if there are none. */
+  const schema_payload *reply;
+  void (*put)(struct job *job, uint8_t *parts);
 
   /* Whether such requests take long: a connection serves the requests behind them meanwhile. */
   bool detached;
@@ -127,22 +133,34 @@ struct job_parts {
   uint64_t index;   /* position in the part of the entry that is next */
 };
 
+/* The most bytes of the structure with which the reply of job_reply() begins. */
+enum { JOB_HEAD_BYTES = 128 };
+
 /* The first member of each kind's own job structure. */
 struct job {
   const struct job_kind *kind;
   struct job_context *context;
-  wire_header header;  /* header of the request */
-  uint64_t part_bytes; /* after JOB_NEXT_PART: the size of the part, for begin_part() */
-  uint64_t owed_radii; /* work that this job still has to do, in radii of a dipole */
-  bool rests;          /* whether context->owed_radii leaves this job out, see job_rest() */
-  bool large;          /* whether the job is in context->large */
+  wire_header header;     /* header of the request */
+  const uint8_t *payload; /* of the request; valid until the job ends */
+  uint64_t part_bytes;    /* after JOB_NEXT_PART: the size of the part, for begin_part() */
+  uint64_t owed_radii;    /* work that this job still has to do, in radii of a dipole */
+  bool rests;             /* whether context->owed_radii leaves this job out, see job_rest() */
+  bool large;             /* whether the job is in context->large */
   LIST_ENTRY(job) in_large;
   enum latency_class latency;
   struct cache_owner *owner; /* the client, whose turns its lookups use */
   bool reader_idle;          /* whether all parts are sent, so that it may report progress */
   wire_error refusal;        /* why the job is refused; set with JOB_REFUSED */
   struct job_parts parts;
+  _Alignas(8) uint8_t head[JOB_HEAD_BYTES]; /* the reply's structure, after job_reply() */
 };
+
+/* Accepts a request: its reply begins with this structure of job->kind->reply, as on the wire, whose
+ * counts say its size. Refuses it if the request's counts make that larger than a frame may be. */
+enum job_outcome job_reply(struct job *job, const void *head);
+
+/* Writes that reply to `payload`. */
+void job_put_reply(struct job *job, uint8_t *payload);
 
 /* Cuts a reply into parts: one if it fits into a frame, else parts of up to max_part_bytes, which have
  * a multiple of `unit` entries; sets job->part_bytes. start: the reply's structure, which begins with
@@ -176,7 +194,7 @@ void job_parts_cut(struct job_parts *parts, uint64_t total, uint64_t most);
 bool job_parts_next(struct job_parts *parts);
 
 /* The size of a slot, which can hold a job of any kind. Each kind asserts that it fits. */
-enum { JOB_SLOT_BYTES = 5120 };
+enum { JOB_SLOT_BYTES = 5248 };
 
 struct job_slot {
   _Alignas(16) uint8_t bytes[JOB_SLOT_BYTES];

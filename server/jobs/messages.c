@@ -6,12 +6,6 @@
 #include "server/observe/report.h"
 #include "server/store/media.h"
 
-/* Accepts a request whose reply is one part of part_bytes. */
-static enum job_outcome reply_with(struct job *job, size_t part_bytes) {
-  job->part_bytes = part_bytes;
-  return JOB_NEXT_PART;
-}
-
 /* ---- hello ----------------------------------------------------------------------------------- */
 
 /* Where the next value of a list is written. `at` is NULL if the values are only counted. */
@@ -64,39 +58,32 @@ static enum job_outcome start_hello(struct job *job, const struct job_request *r
     return JOB_REFUSED;
   }
   const wire_hello_reply reply = describe_daemon(job->context->server);
-  return reply_with(job, WIRE_BYTES_hello_reply + reply.choice_count * (size_t)WIRE_BYTES_choice +
-                             reply.limit_count * (size_t)WIRE_BYTES_value);
+  uint8_t head[WIRE_BYTES_hello_reply];
+  wire_put_hello_reply(head, &reply);
+  return job_reply(job, head);
 }
 
-static enum job_outcome put_hello(struct job *job, uint8_t *at) {
-  const wire_hello_reply reply = describe_daemon(job->context->server);
-  wire_put_hello_reply(at, &reply);
-  at += WIRE_BYTES_hello_reply;
-  for (uint32_t i = 0; i < reply.choice_count; i++) {
+static void put_hello(struct job *job, uint8_t *at) {
+  for (size_t i = 0; i < wire_choice_count(); i++) {
     const wire_choice choice = wire_choice_at(i);
     wire_put_choice(at, &choice);
     at += WIRE_BYTES_choice;
   }
   struct value_cursor limits = {at, 0};
   options_each_number(&job->context->server->options, put_value, &limits);
-  return JOB_DONE;
 }
 
-const struct job_kind job_kind_HELLO = {
-    .request = &schema_hello_request, .start = start_hello, .begin_part = put_hello};
+const struct job_kind job_kind_HELLO = {.request = &schema_hello_request,
+                                        .reply = &schema_hello_reply,
+                                        .start = start_hello,
+                                        .put = put_hello};
 
 /* ---- lists ----------------------------------------------------------------------------------- */
 
 /* Accepts a request whose reply is a list. */
-static enum job_outcome start_list(struct job *job, size_t count, size_t entry_bytes) {
-  return reply_with(job, WIRE_BYTES_list_reply + count * entry_bytes);
-}
-
-/* Writes the count of a list. Returns the address of the first entry. */
-static uint8_t *put_list(uint8_t *at, size_t count) {
+static enum job_outcome start_list(struct job *job, size_t count) {
   const wire_list_reply list = {.count = (uint32_t)count};
-  wire_put_list_reply(at, &list);
-  return at + WIRE_BYTES_list_reply;
+  return job_reply(job, &list);
 }
 
 static enum job_outcome start_media(struct job *job, const struct job_request *request) {
@@ -106,17 +93,16 @@ static enum job_outcome start_media(struct job *job, const struct job_request *r
   for (size_t i = 0; i < count; i++) {
     layers += all[i].layer_count;
   }
-  return start_list(job, layers, WIRE_BYTES_measured_medium);
+  return start_list(job, layers);
 }
 
-static enum job_outcome put_media(struct job *job, uint8_t *at) {
+static void put_media(struct job *job, uint8_t *at) {
   (void)job;
-  uint8_t *entry_at = at + WIRE_BYTES_list_reply;
-  size_t count, layers = 0;
+  size_t count;
   const core_measured_medium *all = media_all(&count);
   for (size_t i = 0; i < count; i++) {
     const core_measured_medium *medium = &all[i];
-    for (size_t layer = 0; layer < medium->layer_count; layer++, layers++) {
+    for (size_t layer = 0; layer < medium->layer_count; layer++) {
       wire_measured_medium entry;
       WIRE_SET_TEXT(entry.name, medium->name);
       for (size_t channel = 0; channel < 3; channel++) {
@@ -127,16 +113,16 @@ static enum job_outcome put_media(struct job *job, uint8_t *at) {
         entry.eta[channel] = from->eta;
         entry.thickness[channel] = from->thickness_mm;
       }
-      wire_put_measured_medium(entry_at, &entry);
-      entry_at += WIRE_BYTES_measured_medium;
+      wire_put_measured_medium(at, &entry);
+      at += WIRE_BYTES_measured_medium;
     }
   }
-  put_list(at, layers);
-  return JOB_DONE;
 }
 
-const struct job_kind job_kind_MEDIA = {
-    .request = &schema_nothing, .start = start_media, .begin_part = put_media};
+const struct job_kind job_kind_MEDIA = {.request = &schema_nothing,
+                                        .reply = &schema_media_reply,
+                                        .start = start_media,
+                                        .put = put_media};
 
 static void put_reported(void *context, const struct report_value *value) {
   if (value->name != NULL) {
@@ -144,45 +130,35 @@ static void put_reported(void *context, const struct report_value *value) {
   }
 }
 
-static size_t statistics_count(void) {
-  struct value_cursor counter = {NULL, 0};
-  report_each(NULL, put_reported, &counter);
-  return counter.count;
-}
-
 static enum job_outcome start_statistics(struct job *job, const struct job_request *request) {
+  struct value_cursor counter = {NULL, 0};
   (void)request;
-  return start_list(job, statistics_count(), WIRE_BYTES_value);
+  report_each(NULL, put_reported, &counter);
+  return start_list(job, counter.count);
 }
 
-static enum job_outcome put_statistics(struct job *job, uint8_t *at) {
-  struct value_cursor cursor = {put_list(at, statistics_count()), 0};
+static void put_statistics(struct job *job, uint8_t *at) {
+  struct value_cursor cursor = {at, 0};
   report_each(job->context->server, put_reported, &cursor);
-  return JOB_DONE;
 }
 
-const struct job_kind job_kind_STATS = {
-    .request = &schema_nothing, .start = start_statistics, .begin_part = put_statistics};
+const struct job_kind job_kind_STATS = {.request = &schema_nothing,
+                                        .reply = &schema_statistics_reply,
+                                        .start = start_statistics,
+                                        .put = put_statistics};
 
 /* ---- ping ------------------------------------------------------------------------------------ */
 
-struct ping {
-  struct job job;
-  const uint8_t *payload;
-};
-
-JOB_STRUCTURE(struct ping, ping_of)
-
 static enum job_outcome start_ping(struct job *job, const struct job_request *request) {
-  ping_of(job)->payload = request->payload;
-  return request->header->payload_bytes > WIRE_PING_MAX_BYTES
+  job->part_bytes = request->header->payload_bytes;
+  return job->part_bytes > WIRE_PING_MAX_BYTES
              ? job_refuse(job,
                           wire_error_make(WIRE_STATUS_BAD_LENGTH, "payload_bytes", "at most 1024"))
-             : reply_with(job, request->header->payload_bytes);
+             : JOB_NEXT_PART;
 }
 
 static enum job_outcome put_ping(struct job *job, uint8_t *at) {
-  memcpy(at, ping_of(job)->payload, job->header.payload_bytes);
+  memcpy(at, job->payload, job->header.payload_bytes);
   return JOB_DONE;
 }
 
@@ -190,26 +166,12 @@ const struct job_kind job_kind_PING = {.start = start_ping, .begin_part = put_pi
 
 /* ---- cancel ---------------------------------------------------------------------------------- */
 
-struct cancel {
-  struct job job;
-  bool found;
-};
-
-JOB_STRUCTURE(struct cancel, cancel_of)
-
 static enum job_outcome start_cancel(struct job *job, const struct job_request *from) {
-  struct cancel *cancel = cancel_of(job);
-  wire_cancel_request request;
-  wire_get_cancel_request(from->payload, &request);
-  cancel->found = from->cancel != NULL && from->cancel(from->canceller, request.job_id);
-  return reply_with(job, WIRE_BYTES_cancel_reply);
-}
-
-static enum job_outcome put_cancel(struct job *job, uint8_t *at) {
-  const wire_cancel_reply reply = {.found = cancel_of(job)->found};
-  wire_put_cancel_reply(at, &reply);
-  return JOB_DONE;
+  const wire_cancel_request *request = (const void *)from->payload;
+  const wire_cancel_reply reply = {.found = from->cancel != NULL &&
+                                            from->cancel(from->canceller, request->job_id)};
+  return job_reply(job, &reply);
 }
 
 const struct job_kind job_kind_CANCEL = {
-    .request = &schema_cancel_request, .start = start_cancel, .begin_part = put_cancel};
+    .request = &schema_cancel_request, .reply = &schema_cancel_reply, .start = start_cancel};

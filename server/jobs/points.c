@@ -239,7 +239,6 @@ struct points_job {
   bool looked_up;        /* whether the cache has been tried for the set */
   bool complete;         /* whether this part is the last one, and its points have been added */
   uint64_t done;         /* number of this part's points that have been added */
-  wire_points_reply reply;
 };
 
 JOB_STRUCTURE(struct points_job, points_of)
@@ -270,7 +269,6 @@ static enum job_outcome start_points(struct job *job, const struct job_request *
   points->points = NULL;
   points->looked_up = points->complete = false;
   points->done = 0;
-  points->reply = (wire_points_reply){.set = {fixed->set[0], fixed->set[1]}};
   job_init_other(job, &points->lookup, from);
   return JOB_GOES_ON;
 }
@@ -278,12 +276,13 @@ static enum job_outcome start_points(struct job *job, const struct job_request *
 /* ---- steps ----------------------------------------------------------------------------------- */
 
 static enum job_outcome reply_with(struct points_job *points, bool known) {
-  points->reply.known = known;
-  points->reply.point_next = known                    ? points->request.fixed.point_count
-                             : points->points != NULL ? points->points->next
-                                                      : 0;
-  points->job.part_bytes = WIRE_BYTES_points_reply;
-  return JOB_NEXT_PART;
+  const wire_points_request *fixed = &points->request.fixed;
+  const wire_points_reply reply = {.set = {fixed->set[0], fixed->set[1]},
+                                   .known = known,
+                                   .point_next = known                    ? fixed->point_count
+                                                 : points->points != NULL ? points->points->next
+                                                                          : 0};
+  return job_reply(&points->job, &reply);
 }
 
 /* Drops the set that this connection is sending. */
@@ -389,11 +388,6 @@ static enum job_outcome step_points(struct job *job, uint64_t *budget) {
   return outcome;
 }
 
-static enum job_outcome put_points_reply(struct job *job, uint8_t *at) {
-  wire_put_points_reply(at, &points_of(job)->reply);
-  return JOB_DONE;
-}
-
 static void end_points(struct job *job) {
   struct points_job *points = points_of(job);
   lookup_return(&points->lookup);
@@ -401,7 +395,7 @@ static void end_points(struct job *job) {
 }
 
 const struct job_kind job_kind_POINTS = {.request = &schema_points_request,
+                                         .reply = &schema_points_reply,
                                          .start = start_points,
-                                         .begin_part = put_points_reply,
                                          .step = step_points,
                                          .end = end_points};

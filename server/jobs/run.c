@@ -121,7 +121,12 @@ static void begin_part(struct run *run) {
   }
   run->part_open = true;
   run->state = RUN_GOES_ON;
-  const bool done = job->kind->begin_part(job, payload) == JOB_DONE;
+  bool done = true;
+  if (job->kind->reply == NULL) {
+    done = job->kind->begin_part(job, payload) == JOB_DONE;
+  } else {
+    job_put_reply(job, payload);
+  }
   if (done || job->kind->detached) {
     commit_part(run, done);
   }

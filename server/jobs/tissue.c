@@ -52,24 +52,19 @@ static enum job_outcome start_tissue(struct job *job, const struct job_request *
       !job_passes(job, job_error(check_wavelengths(of)))) {
     return JOB_REFUSED;
   }
-  job->part_bytes = WIRE_BYTES_tissue_reply + (uint64_t)of->count * WIRE_BYTES_medium;
-  return job->part_bytes > job->context->server->options.max_frame_bytes
-             ? job_refuse(job, wire_error_make(WIRE_STATUS_TOO_LARGE, "wavelength_count",
-                                               "fewer: this reply exceeds max_frame_bytes"))
-             : JOB_NEXT_PART;
+  const wire_tissue_reply reply = {.haemoglobin = fixed.haemoglobin, .wavelength_count = of->count};
+  return job_reply(job, &reply);
 }
 
-static enum job_outcome put_tissue(struct job *job, uint8_t *at) {
+static void put_tissue(struct job *job, uint8_t *at) {
   const struct tissue_job *of = tissue_of(job);
-  const wire_tissue_reply fixed = {.haemoglobin = (uint16_t)of->tissue.haemoglobin,
-                                   .wavelength_count = of->count};
-  core_medium *media = (void *)(at + WIRE_BYTES_tissue_reply);
-  wire_put_tissue_reply(at, &fixed);
+  core_medium *media = (void *)at;
   for (uint32_t i = 0; i < of->count; i++) {
     core_tissue_medium(&of->tissue, of->wavelengths[i], &media[i]); /* was checked */
   }
-  return JOB_DONE;
 }
 
-const struct job_kind job_kind_TISSUE = {
-    .request = &schema_tissue_request, .start = start_tissue, .begin_part = put_tissue};
+const struct job_kind job_kind_TISSUE = {.request = &schema_tissue_request,
+                                         .reply = &schema_tissue_reply,
+                                         .start = start_tissue,
+                                         .put = put_tissue};
