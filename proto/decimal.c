@@ -125,32 +125,29 @@ static struct digits shortest(uint64_t significand, int exponent, bool power_of_
   const uint64_t vbl = product(g, (c - (power_of_two ? 1 : 2)) << h) + odd;
   const uint64_t vbr = product(g, (c + 2) << h) - odd;
   const uint64_t s = vb >> 2, ten = s / 10;
-  if (s >= 10) { /* tries one digit less */
-    const bool below = vbl <= 40 * ten, above = 40 * ten + 40 <= vbr;
-    if (below != above) {
-      return (struct digits){ten + above, k + 1};
-    }
-  }
+  /* Whether the decimals next to the value lie within the bounds, with all digits and with one less.
+   * Which ones do is chance, so that jumps would be foreseen badly. */
   const bool below = vbl <= 4 * s, above = 4 * s + 4 <= vbr;
-  if (below != above) {
-    return (struct digits){s + above, k};
-  }
-  const uint64_t middle = 4 * s + 2;
-  return (struct digits){s + (vb > middle || (vb == middle && (s & 1) != 0)), k};
+  const bool ten_below = vbl <= 40 * ten, ten_above = 40 * ten + 40 <= vbr;
+  const bool shorter = ten_below != ten_above && s >= 10;
+  const bool nearer = vb > 4 * s + 2 || (vb == 4 * s + 2 && (s & 1) != 0);
+  const uint64_t whole = s + (below != above ? above : nearer);
+  return (struct digits){shorter ? ten + ten_above : whole, k + shorter};
 }
 
 /* ---- text ------------------------------------------------------------------------------------ */
 
 /* Returns the eight digits of a number below 10^8 as bytes, the first digit in the lowest byte. It
- * splits the number into halves, pairs and digits, all parts of a word at the same time. A product
+ * splits the number into halves, pairs and digits, all parts of a word at the same time: a quotient q
+ * and the rest n - 100 q behind it are n 2^16 - q (100 2^16 - 1), likewise for the others. A product
  * with 10486 / 2^20 is the quotient by 100 for numbers below 10000, and one with 103 / 2^10 the
  * quotient by 10 for numbers below 100. */
 static inline uint64_t eight_digits(uint64_t number) {
-  const uint64_t halves = number / 10000 | (number % 10000) << 32;
+  const uint64_t halves = (number << 32) - number / 10000 * ((UINT64_C(10000) << 32) - 1);
   const uint64_t hundreds = (halves * 10486 >> 20) & UINT64_C(0x7f0000007f);
-  const uint64_t pairs = hundreds | (halves - 100 * hundreds) << 16;
+  const uint64_t pairs = (halves << 16) - hundreds * ((100 << 16) - 1);
   const uint64_t tens = (pairs * 103 >> 10) & UINT64_C(0x000f000f000f000f);
-  return tens | (pairs - 10 * tens) << 8;
+  return (pairs << 8) - tens * ((10 << 8) - 1);
 }
 
 /* 17 digits, as many as a shortest decimal has at most, the first of which is not 0. */
