@@ -170,8 +170,12 @@ static void write_eval(struct text *text, const uint8_t *media, uint32_t layer_c
   write_quantity_units(text, fixed.wanted);
   http_text_end(text, '}');
   if ((fixed.wanted & CORE_QUANTITY_RADIUS) != 0 && !drawn) {
-    http_text_numbers(text, "r", payload + layout.radius_offset, fixed.count,
-                      core_evaluator_bytes(fixed.evaluator) == sizeof(float));
+    const bool single = core_evaluator_bytes(fixed.evaluator) == sizeof(float);
+    http_text_begin(text, "r", '[');
+    for (uint64_t i = 0; i < fixed.count; i++) {
+      http_text_number(text, NULL, schema_real_at(payload + layout.radius_offset, i, single));
+    }
+    http_text_end(text, ']');
   }
   http_text_begin(text, "channels", '[');
   for (uint32_t i = 0; i < fixed.channel_count; i++) {

@@ -71,9 +71,8 @@ void http_text_string(struct text *text, const char *key, const char *string) {
 }
 
 static size_t write_number(double value, char *at) {
-  const size_t length = decimal_write(value, at);
-  if (at[length - 1] <= '9' && value != 0) {
-    return length; /* of a number, which ends with a digit */
+  if (value != 0 && isfinite(value)) {
+    return decimal_write(value, at);
   }
   /* Some readers take -0 for an integer, and lose its sign. */
   const char *name = value == 0     ? (signbit(value) ? "-0.0" : "0")
@@ -84,10 +83,31 @@ static size_t write_number(double value, char *at) {
   return strlen(name);
 }
 
+/* Writes a number likewise, from what was written before: replies repeat radii and coefficients. */
+static size_t write_again(double value, char at[DECIMAL_BYTES]) {
+  enum { KEPT_BITS = 9, KEPT_BYTES = 24 };
+  static _Thread_local struct {
+    uint64_t bits;
+    uint64_t length; /* 0: none was written */
+    char text[KEPT_BYTES];
+  } kept[1 << KEPT_BITS], *one;
+  uint64_t bits;
+  memcpy(&bits, &value, sizeof bits);
+  one = &kept[bits * UINT64_C(0x9e3779b97f4a7c15) >> (64 - KEPT_BITS)];
+  if (one->bits == bits && one->length > 0) {
+    memcpy(at, one->text, KEPT_BYTES);
+    return one->length;
+  }
+  one->bits = bits;
+  one->length = write_number(value, at);
+  memcpy(one->text, at, KEPT_BYTES);
+  return one->length;
+}
+
 void http_text_number(struct text *text, const char *key, double value) {
   char *at = start_value(text, key, DECIMAL_BYTES);
   if (at != NULL) {
-    end_value(text, at + write_number(value, at));
+    end_value(text, at + write_again(value, at));
   }
 }
 

@@ -17,8 +17,10 @@ void text_reset(struct text *text) {
 }
 
 void text_free(struct text *text) {
-  free(text->bytes);
-  budget_return(text->budget, text->capacity);
+  if (text->bytes != NULL) { /* a locked instruction takes longer than most texts */
+    free(text->bytes);
+    budget_return(text->budget, text->capacity);
+  }
   *text = (struct text){.budget = text->budget};
 }
 

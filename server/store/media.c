@@ -21,7 +21,7 @@ const core_measured_medium *media_named(const char *name) {
   size_t count;
   const core_measured_medium *all = media_all(&count);
   for (size_t i = 0; i < count; i++) {
-    if (strcmp(all[i].name, name) == 0) {
+    if (all[i].name[0] == name[0] && strcmp(all[i].name, name) == 0) {
       return &all[i];
     }
   }
