@@ -4,7 +4,8 @@
  * the recorded bits says which and why. Each kernel also evaluates its values again in slices of any
  * length, at any alignment and in any lane, whatever stands beside: the program fails if one has
  * another bit. PART is a part of the groups, for machines that are emulated: kernels (the models' and
- * those of media that vary), f64 (double precision of the models alone), solutions or others.
+ * those of media that vary), f64 (double precision of the models alone), solutions or others; layers, a
+ * fit that takes seconds, is in no other part. ISA - is the widest that the machine has.
  */
 #include <assert.h>
 #include <float.h>
@@ -17,6 +18,7 @@
 
 #include "core/choose.h"
 #include "core/draw.h"
+#include "core/fit/layers.h"
 #include "core/fit/spectral.h"
 #include "core/gather/gather.h"
 #include "core/montecarlo/montecarlo.h"
@@ -680,6 +682,32 @@ static void print_fits(const core_isa *isa) {
   }
 }
 
+/* Prints a checksum of a fit of layers: a slab's thickness with a free factor. */
+static void print_layers(const core_isa *isa) {
+  enum { READINGS = 4 };
+  static const double at[READINGS] = {0.3, 0.6, 1, 1.5}, off[READINGS] = {1, 1.02, 1, 1.02};
+  static const core_medium slab = {0.2, 2, 0, 1, 1};
+  double values[READINGS], errors[READINGS], residuals[READINGS] = {0};
+  core_parameters parameters = core_parameters_none();
+  core_profile profile;
+  parameters.value[CORE_PARAMETER_TOLERANCE] = 0.5;
+  core_profile_prepare(&profile, isa, CORE_MODEL_TRANSPORT, CORE_MOMENTS_EXACT, CORE_EVALUATOR_F64,
+                       &slab, &parameters);
+  core_eval_f64(&profile, CORE_QUANTITY_R, READINGS, at, values);
+  core_profile_free(&profile);
+  for (size_t i = 0; i < READINGS; i++) {
+    errors[i] = 0.05 * values[i];
+    values[i] *= off[i];
+  }
+  const core_layers_fit_request request = {
+      CORE_FIT_SCALE_FREE, CORE_UNKNOWN_THICKNESS_1, &slab, 1, READINGS, at, values, errors};
+  core_layers_fit fit = {0};
+  uint64_t sum =
+      add_fault(CHECKSUM_START, core_layers_fit_run(&fit, isa, &request, residuals, NULL));
+  sum = add_numbers(add_numbers(sum, &fit, sizeof fit), residuals, sizeof residuals);
+  print_sum("fits", "layers", sum);
+}
+
 /* Prints a checksum of each tissue's media and of a fit of its spectra: by transport, with a free
  * factor, or of modulated light. */
 static void print_spectra(const core_isa *isa) {
@@ -808,7 +836,7 @@ static void print_refusals(void) {
 }
 
 int main(int argc, char **argv) {
-  const core_isa *isa = core_isa_select(argc > 1 ? argv[1] : "portable");
+  const core_isa *isa = core_isa_select(argc < 2 ? "portable" : argv[1][0] == '-' ? NULL : argv[1]);
   if (isa == NULL) {
     fprintf(stderr, "bits: this machine cannot run %s\n", argv[1]);
     return NOT_HERE;
@@ -839,6 +867,9 @@ int main(int argc, char **argv) {
   }
   if (strchr("as", part) != NULL) {
     print_answers(isa);
+  }
+  if (part == 'l') {
+    print_layers(isa);
   }
   if (strchr("ao", part) != NULL) {
     print_grids();

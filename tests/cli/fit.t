@@ -24,6 +24,12 @@ $ dipole fit skin.csv --model better --eta 1.4 --scale free --format csv
 sample,sigma_a,sigma_s_prime,sigma_a_error,sigma_s_prime_error,sigma_a_by_g,sigma_s_prime_by_g,correlation,scale,scale_error,chi2,readings,g,g_from,g_sides,eta,status
 skin,0.0500000000000007,0.9999999999999961,0.004512962943682094,0.030251779004553565,3.885780586188048e-16,2.3314683517128287e-15,-0.9688287843312002,1.0000000000000082,0.057780137656808,7.836717955594742e-27,4,0,default,both,1.4,fitted
 
+$ for s in a b c; do [ $s = b ] && n=5 || n=4; sed -n "2,${n}s/skin/$s/p" skin.csv; done | { echo sample,r,R,error; cat; } | dipole fit --model better --eta 1.4 --format csv | cut -d, -f1,2,12
+sample,sigma_a,readings
+a,0.05000000000000032,3
+b,0.0500000000000022,4
+c,0.05000000000000032,3
+
 $ dipole fit skin.csv --model better --eta 1.4 --g 0.5 --format json
 {
   "software": "dipoled 0.1.0",

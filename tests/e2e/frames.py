@@ -251,11 +251,13 @@ def assert_serves(connection: Connection) -> None:
     assert struct.unpack_from("<d", reply.payload, wire.EVAL_REPLY.bytes) == (1.0,)
 
 
-def assert_refused(connection: Connection, type: int, payload: bytes, *error) -> None:
+def assert_refused(connection: Connection, type: int, payload: bytes, *error) -> str:
     """Checks that the daemon answers the request with this error and goes on serving the
-    connection."""
-    assert_error(ask(connection, type, payload), *error)
+    connection. Returns what the error says is allowed."""
+    reply = ask(connection, type, payload)
+    assert_error(reply, *error)
     assert_serves(connection)
+    return wire.ERROR.unpack(reply.payload).allowed
 
 
 def statistics(connection: Connection) -> dict[str, int]:

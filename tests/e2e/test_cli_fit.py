@@ -86,17 +86,3 @@ def test_a_name_is_no_command(readings, tmp_path, end):
     clean = "".join(one if one.isprintable() else "?" * len(one.encode()) for one in name)
     assert clean in svg_texts(tmp_path / "a.svg")
     assert clean in shown
-
-
-def test_many_samples_of_several_designs(readings):
-    """500 samples, every third of which was measured at other places: the order is kept."""
-    rng = np.random.default_rng(4)
-    text = "sample,r,R,error\n"
-    for i in range(500):
-        take = slice(0, 3) if i % 3 == 0 else slice(0, 4)
-        R = readings["skin"][take] * rng.normal(1, 0.005, len(AT_MM[take]))
-        text += lines(f"s{i}", R, AT_MM[take])
-    found = rows(dipole("fit", *OPTIONS, "--format", "csv", stdin=text).stdout)
-    assert [row["sample"] for row in found] == [f"s{i}" for i in range(500)]
-    assert [row["readings"] for row in found] == ["3" if i % 3 == 0 else "4" for i in range(500)]
-    assert np.mean([float(row["sigma_a"]) for row in found]) == pytest.approx(0.05, rel=0.01)

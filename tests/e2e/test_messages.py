@@ -295,7 +295,6 @@ def read_wrong() -> dict[str, tuple]:
                 text = re.sub(r"\b_\b", value, changes)
                 name, _, index = re.sub(r"\b_\b", value, field).partition("@")
                 payload = make(message, **eval(f"dict({text})", {**globals(), **listed}))
-                allowed = "" if allowed == "_" else allowed
                 cases[f"{message}: {text}"] = wire.MESSAGES[message], payload, status, name, allowed, int(index or 0)
     return cases
 
@@ -303,21 +302,22 @@ def read_wrong() -> dict[str, tuple]:
 WRONG = read_wrong()
 WRONG |= {
     f"eval: {name} {eta}": (EVAL, eval_payload([SKIN, m(eta=eta)], moments=one.id), "bad-value", "eta",
-                            f"{one.eta_min:g} to {one.eta_max:g}", 1)
+                            f"{one.eta_min:g} to {one.eta_max:g}" + (name != "exact") * f" with moments {name}", 1)
     for name, one in MOMENTS.items()
     for eta in (math.nextafter(one.eta_min, 0), above(one.eta_max))
 }  # fmt: skip
 WRONG |= {
-    f"eval: {name} NaN": (EVAL, eval_payload(parameters=[(one.id, math.nan)]), "bad-value", name, "a number", 0)
+    f"eval: {name} NaN": (EVAL, eval_payload(parameters=[(one.id, math.nan)]), "bad-value", name,
+                          "a number; a parameter that is not wanted is left out", 0)
     for name, one in PARAMETERS.items()
-}
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("name", WRONG)
 def test_what_is_wrong_is_said(shared, name):
     with shared.connect() as connection:
         send_points(connection, name.split(":")[0])
-        assert_refused(connection, *WRONG[name])
+        assert assert_refused(connection, *WRONG[name]) == WRONG[name][4]  # the whole text
 
 
 COUNTS = [0, 2**16 - 1, 2**29, 2**31, 2**32 - 1, 2**53 + 1, 2**60, 2**61, 2**62, 2**63, 2**64 - 1]

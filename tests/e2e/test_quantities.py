@@ -5,12 +5,8 @@ and tests/cli/eval.t has them in every format."""
 import numpy as np
 import pytest
 from command_line import Proxy, eval_rows
-from dipole import Medium, Refused, wire
+from dipole import wire
 from frames import SKIN, changed_choices
-
-# ---- derivatives of ln R -------------------------------------------------------------------------
-
-BY = ("dlnR_dln_sigma_a", "dlnR_dln_sigma_s")
 
 
 def test_each_quantity_has_errors_of_its_own(client):
@@ -24,16 +20,6 @@ def test_each_quantity_has_errors_of_its_own(client):
         of_each = [among.errors[name].model_error[0] for name in many if "dln" not in name]
         np.testing.assert_equal(among.model_error[0], np.max(of_each))
         assert np.isnan(among.model_error[0]) == (r[-1] > 1e4)
-
-
-def test_media_without_derivatives_are_refused(client):
-    for model in ("gaussians", "extended", "quantized+single", "skin-red"):
-        with pytest.raises(Refused) as caught:
-            client.eval(model, Medium(0.1, 1.0), [1.0], wanted=BY)
-        assert caught.value.field == "wanted" and "this model" in caught.value.allowed
-    with pytest.raises(Refused) as caught:
-        client.eval(None, Medium(0.1, 1.0), [1.0], wanted=BY, tolerance=0.1)
-    assert caught.value.field == "wanted" and "tolerance" in caught.value.allowed
 
 
 # ---- a daemon of another kind --------------------------------------------------------------------

@@ -2,8 +2,10 @@
  * that libuv calls outside of its poll. */
 #include "server/net/worker.h"
 
+#include <sys/socket.h>
 #include <unistd.h>
 
+#include "server/net/transport.h"
 #include "server/store/cache.h"
 #include "tests/unit/unit.h"
 
@@ -131,6 +133,36 @@ UNIT_TEST(the_earliest_deadline_wakes) {
 }
 
 /* ---- leaving --------------------------------------------------------------------------------- */
+
+static void on_dropped(struct transport *t) {
+  assert_true(t->closing);
+}
+
+static void on_left(struct transport *t) {
+  worker_stop(t->client.worker);
+}
+
+static void lingerer_start(struct client *client) {
+  struct transport *t = transport_of(client);
+  assert_true(transport_open(t));
+  transport_linger(t);
+  const uint64_t now_ms = t->active_ms;
+  assert_true(transport_is_over(t, now_ms + 1000) && !t->closing);
+  assert_true(transport_is_over(t, now_ms + 1001) && t->closing);
+}
+
+/* It may still read the last reply until then. */
+UNIT_TEST(a_peer_has_a_second_to_leave) {
+  static const struct client_kind kind = {.start = lingerer_start};
+  static const struct transport_calls calls = {.dropped = on_dropped, .closed = on_left};
+  static struct transport client;
+  static struct fixture f;
+  int pair[2];
+  assert_int_equal(socketpair(AF_UNIX, SOCK_STREAM, 0, pair), 0);
+  transport_init(&client, &kind, &calls, &f.server, pair[0], NULL);
+  serve(&f, &client.client);
+  close(pair[1]);
+}
 
 /* Clients that at random moments give each other turns, forget and free each other, and come anew. */
 struct leaver {
