@@ -85,9 +85,9 @@ static void find_terms(const exitance_grid *of, double complex *values) {
   memcpy(values, term, n * sizeof *values);
 }
 
-/* Returns X at the position x in a panel, 0 to 1. */
+/* Returns X at the position x in a panel, 0 to 1, or beside it. */
 static double complex series_at(const exitance_grid *of, const exitance_series *at, size_t panel,
-                                double x) {
+                                double complex x) {
   double complex one = 0, two = 0;
   for (size_t j = of->nodes; j-- > 1;) {
     const double complex next = at->term[panel][j] + (4 * x - 2) * one - two;
@@ -229,6 +229,10 @@ enum { RULE_NODES = 12 };
 /* Contributions that have decayed by more than e to this power are neglected. */
 #define DECAYS_MOST 45
 
+/* A panel with more periods of H0 than this is gone around. The first one has fewer, or all of it has
+ * decayed. */
+#define PERIODS_MOST 512
+
 /* Returns X H0(kr) k, with H0(kr) = -2 i / pi K0(-i k r). */
 static double complex weighted(double complex exitance, double complex k, double r) {
   return exitance * k * CMPLX(0, -2 / FN_PI) * transport_bessel_k(CMPLX(0, -r) * k).k0;
@@ -252,6 +256,26 @@ static void add_interval(double *sum, double *size, const exitance_grid *of,
   *size += modulus * fn_abs(way) * (end - begin) / (2 * FN_PI);
 }
 
+/* Returns the same integral as of all intervals of a panel, on a path that goes up from its begin, where
+ * H0 decays, and comes down to its end: there its series goes on. */
+static double around_panel(const exitance_grid *of, const exitance_series *at,
+                           const gauss_rule *rule, size_t panel, double r) {
+  const double complex way = of->point[panel + 1] - of->point[panel];
+  double sum = 0;
+  for (size_t side = 0; side < 2; side++) {
+    const double complex corner = of->point[panel + side];
+    for (double begin = 0, end = 0.5 / r; begin * r < DECAYS_MOST; begin = end, end *= 2) {
+      for (size_t i = 0; i < rule->n; i++) {
+        const double complex up = CMPLX(0, begin + (end - begin) * rule->x[i]);
+        const double complex X = series_at(of, at, panel, (double)side + up * fn_inverse(way));
+        const double part = creal(CMPLX(0, 1) * weighted(X, corner + up, r));
+        sum += (side == 0 ? part : -part) * (end - begin) * rule->weight[i];
+      }
+    }
+  }
+  return sum;
+}
+
 double solver_exitance_at(const exitance_series *at, const exitance_grid *of, double r,
                           double *size) {
   enum { HALVINGS = 12, DOUBLINGS = 200 };
@@ -265,6 +289,12 @@ double solver_exitance_at(const exitance_series *at, const exitance_grid *of, do
       return sum / (2 * FN_PI);
     }
     const double periods = ceil(fn_abs(way) * r / (2 * FN_PI));
+    if (periods > PERIODS_MOST) {
+      double modulus = 0;
+      add_interval(&modulus, size, of, at, &rule, panel, 0, 1, r);
+      sum += around_panel(of, at, &rule, panel, r);
+      continue;
+    }
     const size_t parts = periods < 1 ? 1 : (size_t)periods;
     for (size_t i = 0; i < parts; i++) {
       double begin = (double)i / (double)parts, end = (double)(i + 1) / (double)parts;
