@@ -26,6 +26,7 @@ $(call unit,test_choice test_worker): $(filter-out $(OBJ)/server/main.o,$(SERVER
 $(call unit,test_cache test_profiles test_histogram test_input): TEST_LIBS = $(call libs,libuv)
 $(call unit,test_choice test_worker): TEST_LIBS = $(SERVER_LIBS)
 $(patsubst %,$(OBJ)/tests/unit/test_%.o,cache choice profiles input worker): EXTRA_CPPFLAGS = $(call cflags,libuv)
+$(call unit,test_stop): TEST_LIBS = -Wl,--wrap=solver_stops,--wrap=solver_dense_congruence,--wrap=solver_exitance_at
 $(OBJ)/tests/unit/test_modbus.o: EXTRA_CPPFLAGS = $(call cflags,libmodbus)
 
 $(BUILD)/bench: $(BENCH) $(BUILD)/libdipole.a

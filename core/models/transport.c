@@ -572,10 +572,15 @@ struct source {
   size_t side;          /* index of the side of the layers where light leaves: top or bottom */
   double absorbs_least; /* least sigma_a of the layers, per reduced mean free path of the first */
   double kappa;
+  const atomic_bool
+      *stop; /* NULL, or true as soon as nobody wants the values, which are unknown then */
 };
 
 /* Returns R of a solution at x mean free paths. */
 static transport_number solved_at(const struct source *source, double x) {
+  if (solver_stops(source->stop)) {
+    return (transport_number){0, (double)INFINITY};
+  }
   if (source->layers == NULL) {
     return solver_at(source->solution, 0, x);
   }
@@ -838,6 +843,8 @@ static core_fault fill_nothing(double sigma_t_prime, core_preparation *preparati
   return (core_fault){0};
 }
 
+static const core_fault stopped = {CORE_FIELD_STOPPED, "to be waited for", 0};
+
 /* ---- derivatives ------------------------------------------------------------------------------ */
 
 /* Differences of ln rho, or of ln sigma, for the derivatives: of a medium of the table, and of solved
@@ -904,12 +911,10 @@ static core_fault differentiate(const core_inputs *inputs, const struct source *
   core_fault fault = {0};
   *by = (struct derivative){0};
   for (int i = 0; i < 2 && middle > 0 && fault.field == NULL; i++) {
-    if (inputs->stop != NULL && atomic_load(inputs->stop)) {
-      return (core_fault){CORE_FIELD_STOPPED, "to be waited for", 0};
-    }
     *sigma = middle * real_exp_signed(i == 0 ? -step : above);
     fault = add_neighbour(inputs, source, medium, level, (i == 0 ? -1 : 1) / (above + step), panels,
                           by);
+    fault = solver_stops(inputs->stop) ? stopped : fault;
   }
   return fault;
 }
@@ -1176,7 +1181,8 @@ static core_fault prepare_side(const core_inputs *inputs, const solver_layers *l
   struct source source = {.medium = inputs->medium,
                           .layers = layers,
                           .side = side,
-                          .absorbs_least = absorbs_least_of(inputs)};
+                          .absorbs_least = absorbs_least_of(inputs),
+                          .stop = inputs->stop};
   const bool derivatives = wants_derivatives(inputs) && side == is_transmitted(inputs);
   struct panels panels = {.joined = false};
   struct derivative by[2];
@@ -1196,9 +1202,10 @@ static core_fault prepare_side(const core_inputs *inputs, const solver_layers *l
   preparation->added.banded[CORE_ERROR_BANDS] = total->error / fmax(total->value, 1e-300);
   set_errors(&source, &panels, preparation);
   preparation->reach.growth = fmax(growth, preparation->reach.growth);
-  const core_fault fault =
+  core_fault fault =
       derivatives ? differentiate_layers(inputs, &source, &panels, tolerance, by, preparation)
                   : (core_fault){0};
+  fault = solver_stops(inputs->stop) ? stopped : fault;
   return fault.field != NULL ? fault
                              : fill_table(inputs, inputs->medium, &panels, source.kappa, by,
                                           derivatives ? 2 : 0, false, preparation);
@@ -1261,6 +1268,7 @@ static core_fault prepare_layers(const core_inputs *inputs, double tolerance,
   if (fault.field == NULL && side == 0 && inputs->medium[count - 1].thickness_mm > 0) {
     fault = add_below(inputs, solution, &balance.out[1], tolerance, preparation);
   }
+  fault = solver_stops(inputs->stop) ? stopped : fault;
   if (fault.field != NULL) {
     free(preparation->table);
     preparation->table = NULL;

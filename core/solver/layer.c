@@ -37,6 +37,7 @@ struct work {
   dense spare[SPARE], alike, opposite;
   /* what orders above M contribute to the block of order M of `even` and of `odd` */
   double complex *closing[2];
+  const atomic_bool *stop;
 };
 
 /* Adds factor * S, the diagonal matrix of signs. */
@@ -266,7 +267,7 @@ static bool find_halfspace(const struct work *by, layer_relation *to, double kap
         return true;
       }
     }
-    if (!solver_layer_weigh(by->spare, &b, &a, &mean)) {
+    if (solver_stops(by->stop) || !solver_layer_weigh(by->spare, &b, &a, &mean)) {
       return false;
     }
     solver_layer_combine(&b, 2 * scale, &a, -scale * scale, &b);
@@ -344,7 +345,8 @@ static bool reserve(struct memory *to, const expansion *of, double complex k) {
     matrix[i].rows = n;
   }
   to->work = (struct work){of,        k,         {matrix[0], matrix[1], matrix[2], matrix[3]},
-                           matrix[4], matrix[5], {NULL, NULL}};
+                           matrix[4], matrix[5], {NULL, NULL},
+                           NULL};
   to->work.spare[0].columns = n;
   to->half = matrix[6];
   to->once = solver_dense_at(of->isa, &next, n, 2, is_complex);
@@ -462,10 +464,10 @@ static bool find_once(const struct work *by, layer_operators *to, double step, i
     solver_dense_put(&to->reflected_once, row, 0,
                      sign_of_row(of, row) * solver_dense_get(&sum->all, row, of->n));
   }
-  for (int i = 0; i < halvings; i++) {
+  for (int i = 0; i < halvings && !solver_stops(by->stop); i++) {
     double_once(by, to, &by->spare[0]);
   }
-  return true;
+  return !solver_stops(by->stop);
 }
 
 /* Light that passes a layer is not followed below this share. */
@@ -482,7 +484,7 @@ static bool find_layer(const struct work *by, layer_operators *to, double depth)
   int i = 0;
   for (; i < halvings && ldexp(step, i) * (1 + fn_abs(by->k)) < 0.5; i++) {
     solver_layer_combine(sum, 0.5, a, 0.5, &b);
-    if (!solver_layer_weigh(by->spare, &b, a, sum)) {
+    if (solver_stops(by->stop) || !solver_layer_weigh(by->spare, &b, a, sum)) {
       return false;
     }
     solver_layer_combine(a, 2, a, -1, &b);
@@ -491,7 +493,7 @@ static bool find_layer(const struct work *by, layer_operators *to, double depth)
   solver_layer_combine(sum, 1, a, 1, &b);
   solver_layer_combine(a, -1, a, 1, &b);
   for (; i < halvings && largest(&a->all) > PASSED_LEAST; i++) {
-    if (!solver_layer_weigh(by->spare, &b, a, sum)) {
+    if (solver_stops(by->stop) || !solver_layer_weigh(by->spare, &b, a, sum)) {
       return false;
     }
     solver_layer_combine(a, 0.5, &b, 0, &b);
@@ -501,9 +503,10 @@ static bool find_layer(const struct work *by, layer_operators *to, double depth)
 }
 
 bool solver_layer_operators(layer_operators *to, const expansion *of, double complex k,
-                            double kappa, double depth) {
+                            double kappa, double depth, const atomic_bool *stop) {
   struct memory memory;
   bool ok = reserve(&memory, of, k);
+  memory.work.stop = stop;
   if (ok && isinf(depth)) {
     solver_dense_clear(&to->reflected_once);
     ok = find_halfspace(&memory.work, &to->sum, kappa) && scatter_once(&memory.work, &memory.once);

@@ -3,6 +3,7 @@
 #define DIPOLED_CORE_SOLVER_LAYER_H
 
 #include <complex.h>
+#include <stdatomic.h>
 #include <stdbool.h>
 
 #include "core/solver/dense.h"
@@ -45,10 +46,10 @@ typedef struct layer_operators {
 
 /* Sets the operators of a layer. depth: its thickness in scaled mean free paths, above 0; infinite
  * for a half space, for which k and kappa are as for solver_layer_halfspace(). *to: its matrices
- * have room, real if Im k is 0 and complex otherwise. Returns false if memory runs out or the
- * equation is singular. */
+ * have room, real if Im k is 0 and complex otherwise. Returns false if memory runs out, the
+ * equation is singular, or `stop`, which may be NULL, is true. */
 bool solver_layer_operators(layer_operators *to, const expansion *of, double complex k,
-                            double kappa, double depth);
+                            double kappa, double depth, const atomic_bool *stop);
 
 /* Spare matrices of the functions below, each as large as a relation's. */
 enum { LAYER_SPARE = 3 };

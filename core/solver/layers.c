@@ -152,7 +152,8 @@ static void truncate_layers(struct grid *to, const struct solver_layers *of, dou
 /* Sets *rate to the rate of decay along the layers: X = int R(r) J0(kr) ... rises along k = iq up to its
  * first pole, which few functions of angle have at nearly the same place. Guided light in a thin slab
  * decays at a third of the rate of diffusion theory. Returns false if memory runs out. */
-static bool find_rate(struct grid *to, const struct solver_layers *of, const core_isa *isa) {
+static bool find_rate(struct grid *to, const struct solver_layers *of, const core_isa *isa,
+                      const atomic_bool *stop) {
   static const expansion_rules rules = {2, 6, 3};
   static const double step = 1.1;
   enum { HALVINGS = 4 };
@@ -163,7 +164,7 @@ static bool find_rate(struct grid *to, const struct solver_layers *of, const cor
     depth += isinf(to->layer[i].thickness) ? 0 : to->layer[i].extinction * to->layer[i].thickness;
   }
   to->rate = most;
-  stack *expanded = solver_stack_new(isa, &rules, to->layer, of->count, of->eta_below);
+  stack *expanded = solver_stack_new(isa, &rules, to->layer, of->count, of->eta_below, stop);
   bool ok = expanded != NULL;
   stack_exitance at;
   double before = 0, below = 0;
@@ -316,7 +317,7 @@ static void extend_wavenumbers(exitance_grid *to, double last) {
 }
 
 static bool place_wavenumbers(struct grid *to, const struct solver_layers *of, const core_isa *isa,
-                              const struct level *by) {
+                              const struct level *by, const atomic_bool *stop) {
   double least = 1, all_least = 1, depth = 0, resolved = (double)INFINITY;
   for (size_t i = 0; i < of->count; i++) {
     const double s = to->layer[i].extinction;
@@ -357,7 +358,7 @@ static bool place_wavenumbers(struct grid *to, const struct solver_layers *of, c
                     ? fmin(last, last_above)
                     : fmin(by->tier[tier].k_most * (of->sides > 1 ? all_least : least), last);
   }
-  if (!find_rate(to, of, isa)) {
+  if (!find_rate(to, of, isa, stop)) {
     return false;
   }
   to->rate = to->rate < PATH_RATE_LEAST ? 0 : to->rate;
@@ -388,7 +389,7 @@ static double arriving_beam(const ways *of) {
  * light that it scatters once beyond that is added to T[]. T's wavenumbers go on, if there is room, to
  * where little is scattered more than twice. */
 static void pass_onwards(struct grid *to, const struct solver_layers *all, double far,
-                         double complex *onwards, double complex *T) {
+                         double complex *onwards, double complex *T, const atomic_bool *stop) {
   exitance_grid *grid = &to->wavenumbers[1];
   const stack_layer *last = &to->layer[all->count - 1];
   const double beam =
@@ -415,7 +416,7 @@ static void pass_onwards(struct grid *to, const struct solver_layers *all, doubl
     const double complex end = grid->point[grid->panels];
     grid->point[++grid->panels] = CMPLX(2 * creal(end), cimag(end));
   }
-  for (size_t node = 0; node < grid->panels * grid->nodes; node++) {
+  for (size_t node = 0; node < grid->panels * grid->nodes && !solver_stops(stop); node++) {
     const double complex k = solver_exitance_wavenumber(grid, node);
     const double complex x = solver_ways_onwards(&to->ways, k);
     onwards[node] = to->passes * (beam * (fn_cexp(x) - 1 - x) + twice * fn_inverse(1 + k * k));
@@ -591,7 +592,8 @@ static bool solve_tier(const struct grid *of, const struct solver_layers *all, c
   double complex *like = values + SIDES * nodes;
   const double depth = depth_from(of, all, 0);
   size_t edge = 0; /* the first node where R's layers are not solved */
-  while (edge < nodes && !is_alike(of, all, edge, of->layered_most)) {
+  while (edge < solver_exitance_end(wavenumbers, TIERS - 1) &&
+         !is_alike(of, all, edge, of->layered_most)) {
     edge++;
   }
   bool ok = true;
@@ -604,7 +606,7 @@ static bool solve_tier(const struct grid *of, const struct solver_layers *all, c
       stack_exitance at;
       expanded = expanded != NULL
                      ? expanded
-                     : solver_stack_new(isa, &rules, of->layer, all->count, all->eta_below);
+                     : solver_stack_new(isa, &rules, of->layer, all->count, all->eta_below, stop);
       ok = expanded != NULL && solver_stack_at(expanded, k, of->ways.reflections_most, &at);
       for (size_t side = 0; side < SIDES && ok; side++) {
         const bool known = node < solver_exitance_end(&of->wavenumbers[side], TIERS - 1);
@@ -632,7 +634,7 @@ static bool solve_tier(const struct grid *of, const struct solver_layers *all, c
 static bool solve_grid(struct grid *to, const struct solver_layers *of, const core_isa *isa,
                        const struct level *by, const atomic_bool *stop) {
   truncate_layers(to, of, by->moment_least, by->moments_most, by->tier[TIERS - 1].rules.degrees);
-  if (!place_wavenumbers(to, of, isa, by)) {
+  if (!place_wavenumbers(to, of, isa, by, stop)) {
     return false;
   }
   enum { nodes = EXITANCE_PANELS_MAX * EXITANCE_NODES_MAX };
@@ -660,7 +662,7 @@ static bool solve_grid(struct grid *to, const struct solver_layers *of, const co
       double complex *onwards = values + SIDES * nodes;
       const size_t solved = solver_exitance_end(&to->wavenumbers[1], TIERS - 1);
       memset(onwards, 0, nodes * sizeof *onwards);
-      pass_onwards(to, of, far, onwards, all_values);
+      pass_onwards(to, of, far, onwards, all_values, stop);
       cut_noise(to, thickness, depth, solved, onwards, all_values);
       far *= to->passes;
     }
@@ -747,8 +749,8 @@ enum { SAMPLES = 4 };
 #define SAMPLES_RATIO 1.0973 /* SOLVER_ERROR_RATIO^(1/4) */
 
 /* Compares the two grids, and sets the largest relative errors of R and T at radii that a tolerance
- * is for. */
-static void find_errors(solver_layers *of, double worst[SIDES]) {
+ * is for, unless the caller stops. */
+static void find_errors(solver_layers *of, double worst[SIDES], const atomic_bool *stop) {
   const struct grid *fine = of->grid[0];
   double margin = of->sides > 1 ? MARGIN_FINITE : MARGIN, weakest = 1, strongest = 0;
   const size_t counted = depth_from(fine, of, 0) < THIN_GUIDES ? SAMPLES : 1;
@@ -774,7 +776,7 @@ static void find_errors(solver_layers *of, double worst[SIDES]) {
       r *= SOLVER_ERROR_RATIO;
     }
     worst[side] = of->floor[1];
-    for (size_t i = SOLVER_ERROR_RADII; i-- > 0; r /= SOLVER_ERROR_RATIO) {
+    for (size_t i = SOLVER_ERROR_RADII; i-- > 0 && !solver_stops(stop); r /= SOLVER_ERROR_RATIO) {
       const double r_mm = r * of->radius_mm, units = r_mm / fine->unit_mm;
       const bool near = of->sides > 1 && r < OSCILLATES;
       double error = 0, some = 0, between = r_mm;
@@ -861,7 +863,8 @@ core_fault solver_layers_solve(solver_layers **solution, const core_isa *isa,
     ok = add_grid(made, level, isa, stop);
     if (ok && level > first) {
       memcpy(before, worst, sizeof before);
-      find_errors(made, worst);
+      find_errors(made, worst, stop);
+      ok = !solver_stops(stop);
       double most = tolerance;
       for (size_t i = level + 1; i < end; i++) {
         most *= GAIN;
@@ -973,7 +976,7 @@ static bool find_balance(const solver_layers *of, const core_isa *isa, size_t de
       last->kappa = fmax(last->kappa, 1e-7 * last->extinction);
     }
     const expansion_rules rules = {0, degrees, 3};
-    stack *expanded = solver_stack_new(isa, &rules, grid->layer, of->count, of->eta_below);
+    stack *expanded = solver_stack_new(isa, &rules, grid->layer, of->count, of->eta_below, NULL);
     ok = expanded != NULL && solver_stack_at(expanded, 0, 0, &at);
     solver_stack_free(expanded);
   }

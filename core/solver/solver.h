@@ -138,7 +138,8 @@ core_fault solver_layers_check(const solver_layer *layer, size_t count, double e
  * for T near the axis behind layers of many mean free paths. With AVX-512, two layers of skin take some
  * 0.25 s of a processor for a tolerance of 1e-2 and 1.3 s for 1e-3. count: 1 to SOLVER_LAYERS_MAX.
  * eta_below: the index below a last layer of finite thickness over that above all,
- * in the range of eta. stop: NULL, or set by any thread. Faults: those of solver_layers_check(),
+ * in the range of eta. stop: NULL, or set by any thread, which ends it within a tenth of a second or
+ * so. Faults: those of solver_layers_check(),
  * `tolerance`, `memory`, CORE_FIELD_STOPPED. On a fault *solution is NULL. Otherwise the caller owns
  * it and frees it with solver_layers_free(), which accepts NULL. */
 core_fault solver_layers_solve(solver_layers **solution, const core_isa *isa,

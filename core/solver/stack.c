@@ -37,6 +37,7 @@ struct stack {
   const core_isa *isa;
   size_t count;
   const stack_layer *layers;
+  const atomic_bool *stop;
   expansion *expanded[SOLVER_LAYERS_MAX];
   struct step step[SOLVER_LAYERS_MAX];
   /* reflectance matrix of the first layer's upper boundary, and of the last layer's lower one */
@@ -180,7 +181,7 @@ static bool expand(stack *to, const expansion_rules *rules, double below) {
         .edge = edge,
     };
     to->expanded[i] = solver_expansion_new(to->isa, rules, &to->layers[i].medium, &boundaries);
-    if (to->expanded[i] == NULL) {
+    if (to->expanded[i] == NULL || solver_stops(to->stop)) {
       return false;
     }
   }
@@ -208,12 +209,13 @@ static void note_flux(const expansion *of, double *flux) {
 }
 
 stack *solver_stack_new(const core_isa *isa, const expansion_rules *rules,
-                        const stack_layer *layers, size_t count, double below) {
+                        const stack_layer *layers, size_t count, double below,
+                        const atomic_bool *stop) {
   stack *made = calloc(1, sizeof *made);
   if (made == NULL) {
     return NULL;
   }
-  *made = (stack){.isa = isa, .count = count, .layers = layers};
+  *made = (stack){.isa = isa, .count = count, .layers = layers, .stop = stop};
   size_t numbers = 0;
   bool ok = expand(made, rules, below);
   for (size_t i = 0; i < count && ok; i++) {
@@ -228,7 +230,8 @@ stack *solver_stack_new(const core_isa *isa, const expansion_rules *rules,
     struct step *step = &made->step[i];
     const size_t n = made->expanded[i]->n + 1, next = made->expanded[i + 1]->n + 1;
     step->same = layers[i].index == layers[i + 1].index;
-    if (!step->same) {
+    ok = !solver_stops(stop);
+    if (!step->same && ok) {
       step->above = solver_dense_at(isa, &at, n, n, true);
       step->below = solver_dense_at(isa, &at, next, next, true);
       step->down = solver_dense_at(isa, &at, next, n, true);
@@ -638,7 +641,7 @@ bool solver_stack_at(const stack *of, double complex k, unsigned reflections,
     const stack_layer *layer = &of->layers[i];
     const double unit = 1 / layer->extinction;
     ok = solver_layer_operators(&work->tower[i].own, of->expanded[i], k * unit, layer->kappa * unit,
-                                layer->thickness * layer->extinction);
+                                layer->thickness * layer->extinction, of->stop);
     ok = ok && (isinf(layer->thickness) || climb_step(work, i)) && climb_layer(work, i);
   }
   ok = ok && descend(work, k, exitance);

@@ -4,6 +4,7 @@
 #define DIPOLED_CORE_SOLVER_STACK_H
 
 #include <complex.h>
+#include <stdatomic.h>
 #include <stdbool.h>
 
 #include "core/solver/level.h"
@@ -22,11 +23,13 @@ typedef struct stack_layer {
 
 typedef struct stack stack;
 
-/* Returns the integrals for a stack, or NULL if memory runs out. The caller frees them with
- * solver_stack_free(), which accepts NULL. layers: 1 to SOLVER_LAYERS_MAX, kept as they are until
- * then. below: the index below over that above. */
+/* Returns the integrals for a stack, or NULL if memory runs out or `stop` is true, which is NULL or
+ * kept, as any thread may set it. The caller frees them with solver_stack_free(), which accepts NULL.
+ * layers: 1 to SOLVER_LAYERS_MAX, kept as they are until then. below: the index below over that
+ * above. */
 stack *solver_stack_new(const core_isa *isa, const expansion_rules *rules,
-                        const stack_layer *layers, size_t count, double below);
+                        const stack_layer *layers, size_t count, double below,
+                        const atomic_bool *stop);
 void solver_stack_free(stack *of);
 
 /* What leaves a stack, Fourier transformed over the plane, per power that has entered. */
@@ -40,7 +43,7 @@ typedef struct stack_exitance {
 } stack_exitance;
 
 /* Sets *exitance at one wavenumber k, which is not 0 if the last layer is a half space without
- * absorption. Returns false if memory runs out or an equation is singular. */
+ * absorption. Returns false if memory runs out, an equation is singular or the caller stops. */
 bool solver_stack_at(const stack *of, double complex k, unsigned reflections,
                      stack_exitance *exitance);
 
