@@ -328,7 +328,13 @@ static void print_group(const core_isa *isa, const core_choice *model, const cor
          errors);
 }
 
-static void print_grids(void) {
+/* Whether work is cut in parts, and done in another order, with an instruction set: as it then has to
+ * equal the portable one, that changes nothing. */
+static bool is_cut(const core_isa *isa) {
+  return core_isa_name(isa)[0] != 'p';
+}
+
+static void print_grids(const core_isa *isa) {
   uint64_t state = 1905;
   uint64_t sum = CHECKSUM_START;
   for (int i = 0; i < MEDIA; i++) {
@@ -336,7 +342,9 @@ static void print_grids(void) {
     const double start = spread(&state, -30, 10);
     const core_grid grid = {i % 2 ? CORE_SPACING_LINEAR : CORE_SPACING_LOGARITHMIC, RADII, start,
                             start * spread(&state, 0, 40)};
-    core_grid_radii(&grid, 0, RADII, false, r);
+    const size_t first = is_cut(isa) ? 10 * (size_t)i : 0;
+    core_grid_radii(&grid, 0, first, false, r);
+    core_grid_radii(&grid, first, RADII - first, false, r + first);
     sum = checksum(sum, r, sizeof r);
   }
   printf("grids %016" PRIx64 "\n", sum);
@@ -421,12 +429,6 @@ static void print_varying(const core_isa *isa, unsigned model, unsigned evaluato
   }
   core_varying_free(&varying);
   printf("varying %u %u %016" PRIx64 "\n", model, evaluator, sum);
-}
-
-/* Whether work is cut in parts, and done in another order, with an instruction set: as it then has to
- * equal the portable one, that changes nothing. */
-static bool is_cut(const core_isa *isa) {
-  return core_isa_name(isa)[0] != 'p';
 }
 
 /* Prints checksums of Monte Carlo. Instruction sets cut the walks in different slices. */
@@ -872,7 +874,7 @@ int main(int argc, char **argv) {
     print_layers(isa);
   }
   if (strchr("ao", part) != NULL) {
-    print_grids();
+    print_grids(isa);
     print_walks(isa);
     print_gathered(isa);
     print_fits(isa);

@@ -449,3 +449,8 @@ $ for one in eval plot points sample invert fit texture table mc media info top 
      12 Usage: dipole 
 ! dipole: there is no command 'top'; the commands are eval, plot, points, sample, invert, fit, texture, convert, bake, gather, table, mc, tissue, media, info, bench, help
 ! dipole: there is no command 'top'; the commands are eval, plot, points, sample, invert, fit, texture, convert, bake, gather, table, mc, tissue, media, info, bench, help
+
+## Each parameter is an option of both, but those of mc and fit.
+$ dipole info --format csv | sed -n 's/^parameters,\([^,]*\),.*/\1/p' | tr _ - | while read -r one; do for of in eval points; do dipole $of --help | grep -q -e "^  --$one " && echo $of; done; done | sort | uniq -c
+     13 eval
+     13 points

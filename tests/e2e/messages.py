@@ -114,6 +114,9 @@ def is_last(reply: Frame) -> bool:
     return True
 
 
+REPLIES = {kind | wire.REPLY: wire.STRUCTURES.get(f"{name}_reply") for name, kind in wire.MESSAGES.items()}
+
+
 def receive_answer(connection: Connection) -> tuple[Frame, tuple[bytes, ...]]:
     """Receives the next answer. Returns its first frame, and the payloads of all its parts without
     reports of progress, nor of work that goes on, which may take 5 s on a busy machine."""
@@ -123,6 +126,9 @@ def receive_answer(connection: Connection) -> tuple[Frame, tuple[bytes, ...]]:
         if (one.type, one.payload) != (wire.MESSAGES["ping"] | wire.REPLY, b""):
             frames.append(one)
             assert one[:2] == frames[0][:2], one[:2]
+    for one in frames if REPLIES.get(frames[0].type) else ():
+        fixed = REPLIES[one.type].unpack(one.payload)._asdict()
+        assert not any(np.less(value, 0).any() for name, value in fixed.items() if "error" in name), fixed
     is_job = frames[0].type == MC | wire.REPLY
     return frames[0], tuple(one.payload for one in (frames[-1:] if is_job else frames))
 

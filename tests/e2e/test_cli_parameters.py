@@ -5,7 +5,7 @@ import pytest
 from command_line import USAGE, Proxy, dipole, eval_rows
 from dipole import wire
 from frames import changed_choices
-from lists import MODELS, PARAMETERS, medium_for, some_value, takes, thickness
+from lists import MODELS, medium_for, some_value, takes, thickness
 
 MEDIUM = ["--sigma-a", "0.032", "--sigma-s", "0.74"]  # SKIN
 
@@ -29,13 +29,6 @@ def some_parameters(model: str) -> dict[str, float]:
 
 
 # ---- eval ----------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("command", ["eval", "points"])
-def test_every_parameter_is_an_option(command):
-    text = dipole(command, "--help").stdout
-    for name in PARAMETERS:
-        assert f"\n  --{name.replace('_', '-')} " in text
 
 
 @pytest.mark.parametrize("model", MODELS)

@@ -75,6 +75,7 @@ def test_errors_end_it_early(client):
     assert both.payload == rings.payload
     short = client.mc(TISSUE, EDGES, error_rings=1e-6, photons=50_000)
     assert short.state == "photons" and short.photons == 13 * BATCH
+    assert client.mc(TISSUE, Grid(1e8, 2e8, 3), photons=BATCH).error_rings == np.inf  # no light
     with pytest.raises(dipole.ProtocolError, match="in state 99, which is not known"):
         unpack_result(b"\x63\0" + short.payload[2:])
 

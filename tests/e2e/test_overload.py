@@ -54,19 +54,20 @@ def start(connection: Connection, watcher: Connection, payload: bytes) -> None:
 
 
 class Others:
-    """Connections that each have the same request running and do not read its answer."""
+    """Connections that each have the same request running, of at least so many radii, and do not read
+    its answer."""
 
-    def __init__(self, daemon, watcher: Connection, count: int, type: int, payload: bytes):
+    def __init__(self, daemon, watcher: Connection, count: int, type: int, payload: bytes, least: float = 0):
         self._stack = ExitStack()
         self.all = [self._stack.enter_context(daemon.connect()) for _ in range(count)]
         self._request = frame(type, 1, payload)
-        self._watcher = watcher
+        self._watcher, self._least = watcher, least
 
     def __enter__(self) -> None:
         for connection in self.all:
             before = statistics(self._watcher)["owed_radii"]
             connection.send_bytes(self._request)
-            assert eventually(lambda: statistics(self._watcher)["owed_radii"] > before)
+            assert eventually(lambda: statistics(self._watcher)["owed_radii"] > before + self._least)
 
     def __exit__(self, *_: object) -> None:
         self._stack.close()
@@ -145,18 +146,18 @@ def test_a_request_larger_than_the_backlog_is_taken_when_there_is_none(daemon):
 # ---- samples, inversions and fits ----------------------------------------------------------------------
 
 @pytest.mark.parametrize(
-    "type, small, large, field",
+    "type, small, large, field, radii",
     [
-        (SAMPLE, sample_payload(), sample(20_000, "extended"), "sample_count"),
-        (INVERT, invert_payload(), invert(20_000), "medium_count"),
-        (FIT_REQUEST, fit_payload(), fit(5000), "set_count"),
+        (SAMPLE, sample_payload(), sample(20_000, "extended"), "sample_count", 2e6),
+        (INVERT, invert_payload(), invert(20_000), "medium_count", 4e7),
+        (FIT_REQUEST, fit_payload(), fit(5000), "set_count", 5e7),
     ],
     ids=["sample", "invert", "fit"],
 )
-def test_large_ones_are_refused_while_there_is_much_to_do(daemon, type, small, large, field):
+def test_large_ones_are_refused_while_there_is_much_to_do(daemon, type, small, large, field, radii):
     one = daemon("--workers", "1", "--max-backlog-ms", "1", "--drain-timeout-ms", "100")
     with one.connect() as second:
-        with Others(one, second, 16, type, large):
+        with Others(one, second, 16, type, large, radii):
             assert_error(ask(second, type, large), "busy", field, "max_backlog_ms")
             assert ask(second, type, small).type == type | wire.REPLY
     one = daemon("--workers", "1")

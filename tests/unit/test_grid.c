@@ -156,23 +156,6 @@ UNIT_TEST(slices_of_the_largest_grids_follow_the_rule) {
   }
 }
 
-/* A slice of a grid has the same bits as these radii of the whole grid. */
-UNIT_TEST(slices_equal_the_whole) {
-  uint64_t random = unit_seed();
-  for (size_t i = 0; i < GRIDS; i++) {
-    const size_t count = (size_t)grids[i].count;
-    double whole[COUNT_MAX], slices[COUNT_MAX];
-    core_grid_radii(&grids[i], 0, count, false, whole);
-    for (size_t first = 0; first < count;) {
-      size_t n = 1 + unit_random_below(&random, 100);
-      n = n < count - first ? n : count - first;
-      core_grid_radii(&grids[i], first, n, false, slices + first);
-      first += n;
-    }
-    assert_memory_equal(whole, slices, count * sizeof *whole);
-  }
-}
-
 UNIT_TEST(single_precision_is_the_double_rounded) {
   for (size_t i = 0; i < GRIDS; i++) {
     const size_t count = (size_t)grids[i].count;
