@@ -203,6 +203,9 @@ static const struct limit {
 double registers_number(const uint16_t image[REGISTERS_END], unsigned address) {
   const registers_field *field = find_field(address);
   const float value = registers_f32(image, address);
+  if (field->access == REGISTERS_OPTIONAL && !is_given(field, (double)value)) {
+    return (double)NAN;
+  }
   const double ends[] = {field->least, field->most};
   for (size_t i = 0; i < sizeof ends / sizeof ends[0]; i++) {
     if (value == (float)ends[i]) {
@@ -217,12 +220,6 @@ double registers_number(const uint16_t image[REGISTERS_END], unsigned address) {
   return (double)value;
 }
 
-double registers_optional(const uint16_t image[REGISTERS_END], unsigned address) {
-  return is_given(find_field(address), (double)registers_f32(image, address))
-             ? registers_number(image, address)
-             : (double)NAN;
-}
-
 /* ---- writing --------------------------------------------------------------------------------- */
 
 /* Returns register number `index` of a PDU's values. */
@@ -233,21 +230,18 @@ static uint16_t word_at(const uint8_t *values, size_t index) {
 }
 
 static bool is_in_range(const registers_field *field, double value) {
+  if (field->type == REGISTERS_F32) {
+    /* The float32 that is the nearest to a limit counts as the limit. */
+    return (value >= (double)(float)field->least && value <= (double)(float)field->most) ||
+           (field->access == REGISTERS_OPTIONAL && !is_given(field, value));
+  }
   if (field->list != NULL) {
     return (value == 0 && field->least == 0) ||
            core_choice_by_id(field->list, (unsigned)value) != NULL;
   }
-  if (field->type == REGISTERS_BITS) {
-    return value >= field->least && ((unsigned)value & ~(unsigned)field->most) == 0;
-  }
-  if (field->access == REGISTERS_OPTIONAL && !is_given(field, value)) {
-    return true;
-  }
-  if (field->type ==
-      REGISTERS_F32) { /* The float32 that is the nearest to a limit counts as the limit. */
-    return value >= (double)(float)field->least && value <= (double)(float)field->most;
-  }
-  return value >= field->least && value <= field->most; /* false for NaN */
+  return value >= field->least &&
+         (field->type == REGISTERS_BITS ? ((unsigned)value & ~(unsigned)field->most) == 0
+                                        : value <= field->most);
 }
 
 static wire_error bad_address(const char *allowed) {
@@ -319,9 +313,10 @@ static double value_of(const registers_field *field, const uint8_t *words, bool 
     return one;
   }
   const uint16_t other = word_at(words, 1);
-  const uint16_t value[] = {swapped ? other : one, swapped ? one : other};
-  return field->type == REGISTERS_F32 ? (double)registers_f32(value, 0)
-                                      : (double)registers_u32(value, 0);
+  const uint32_t bits = swapped ? (uint32_t)other << 16 | one : (uint32_t)one << 16 | other;
+  float real;
+  memcpy(&real, &bits, sizeof real);
+  return field->type == REGISTERS_F32 ? (double)real : (double)bits;
 }
 
 wire_error registers_check(unsigned address, unsigned count, const uint8_t *values, unsigned *at) {

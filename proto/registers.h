@@ -225,11 +225,8 @@ void registers_set_text(uint16_t image[REGISTERS_END], unsigned address, unsigne
 /* Returns the value of a field of type F32. A float32 that is the nearest to a limit of the field
  * counts as this limit: (float)0.001 is above 0.001, and (float)1e-6 is below 1e-6. The limits are
  * those of the field's range, for eta also those of the moments, and for the tolerance also that of
- * lut. */
+ * lut. An optional value that is not given is NaN. */
 double registers_number(const uint16_t image[REGISTERS_END], unsigned address);
-
-/* Returns the value of an optional field, or NaN if it is not given. */
-double registers_optional(const uint16_t image[REGISTERS_END], unsigned address);
 
 /* Returns how many digits a text needs for a limit of a field of this type. */
 int registers_digits(enum registers_type type);

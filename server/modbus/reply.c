@@ -51,7 +51,6 @@ static unsigned read_registers(struct modbus_unit *unit, const struct modbus_req
   if (reads_statistics(request)) {
     refresh_statistics(unit);
   }
-  modbus_unit_refresh(unit, request->address, request->count);
   return 0;
 }
 
@@ -75,10 +74,8 @@ static unsigned write_and_read(struct modbus_unit *unit, const struct modbus_req
     modbus_unit_note_refusal(unit, &error, request->address);
     return exception;
   }
-  const unsigned refused = modbus_unit_write(unit, request->write_address, request->write_count,
-                                             request->values, client);
-  modbus_unit_refresh(unit, request->address, request->count);
-  return refused;
+  return modbus_unit_write(unit, request->write_address, request->write_count, request->values,
+                           client);
 }
 
 static unsigned carry_out(struct modbus_unit *unit, const struct modbus_request *request,
@@ -126,8 +123,9 @@ static size_t put_bits(const struct modbus_unit *unit, const struct modbus_reque
   return 2 + bytes;
 }
 
-static size_t put_registers(const struct modbus_unit *unit, const struct modbus_request *request,
+static size_t put_registers(struct modbus_unit *unit, const struct modbus_request *request,
                             uint8_t *reply) {
+  modbus_unit_refresh(unit, request->address, request->count);
   reply[0] = (uint8_t)request->function;
   reply[1] = (uint8_t)(2 * request->count);
   registers_read(unit->registers, request->address, request->count, reply + 2);
@@ -135,7 +133,7 @@ static size_t put_registers(const struct modbus_unit *unit, const struct modbus_
 }
 
 /* Writes the reply to a valid request. The reply to a write repeats the start of the request. */
-static size_t put_result(const struct modbus_unit *unit, const struct modbus_request *request,
+static size_t put_result(struct modbus_unit *unit, const struct modbus_request *request,
                          const uint8_t *pdu, uint8_t *reply) {
   switch (request->function) {
   case MODBUS_FC_READ_COILS:
@@ -211,7 +209,7 @@ size_t modbus_carry_out(struct modbus_units *units, struct client *client, unsig
   return length;
 }
 
-size_t modbus_late_reply(const struct modbus_unit *unit, const uint8_t *pdu, size_t bytes,
+size_t modbus_late_reply(struct modbus_unit *unit, const uint8_t *pdu, size_t bytes,
                          uint8_t reply[MODBUS_PDU_MAX]) {
   struct modbus_request request;
   modbus_pdu_parse(pdu, bytes, &request);

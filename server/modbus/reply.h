@@ -16,7 +16,7 @@ size_t modbus_carry_out(struct modbus_units *units, struct client *client, unsig
                         uint8_t reply[MODBUS_PDU_MAX], struct modbus_unit **waits_for);
 
 /* Makes the reply to a request whose job has been evaluated. Returns the length of the reply. */
-size_t modbus_late_reply(const struct modbus_unit *unit, const uint8_t *pdu, size_t bytes,
+size_t modbus_late_reply(struct modbus_unit *unit, const uint8_t *pdu, size_t bytes,
                          uint8_t reply[MODBUS_PDU_MAX]);
 
 /* Logs a request that was refused. Does nothing unless the reply is an exception. number: of the

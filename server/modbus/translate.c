@@ -74,10 +74,9 @@ static double number_of(const uint16_t image[REGISTERS_END], const registers_fie
                         unsigned index) {
   const unsigned at =
       field->address + (field->count > 1 ? index * registers_width(field->type) : 0);
-  const double number = field->type == REGISTERS_U32          ? (double)registers_u32(image, at)
-                        : field->type != REGISTERS_F32        ? (double)registers_u16(image, at)
-                        : field->access == REGISTERS_OPTIONAL ? registers_optional(image, at)
-                                                              : registers_number(image, at);
+  const double number = field->type == REGISTERS_U32   ? (double)registers_u32(image, at)
+                        : field->type != REGISTERS_F32 ? (double)registers_u16(image, at)
+                                                       : registers_number(image, at);
   return isnan(number) ? 0 : number;
 }
 
@@ -223,7 +222,7 @@ bool modbus_translate_input(enum registers_job_kind kind, const uint16_t image[R
     bytes += payload->structures[i]->bytes;
   }
   for (const core_choice *one = core_parameter_list; one->name != NULL; one++) {
-    parameters.value[one->id] = registers_optional(image, REGISTERS_PARAMETER_AT(one->id));
+    parameters.value[one->id] = registers_number(image, REGISTERS_PARAMETER_AT(one->id));
   }
   complete(kind, &parameters, request);
   const core_measured_medium *preset = preset_of(image);
