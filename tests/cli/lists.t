@@ -82,7 +82,7 @@ parameters,index,"1: refractive index for the speed of light; else eta (0.25 to 
 parameters,mhz,MHz: frequency of modulated light (0 to 100000)
 limits,max_frame_bytes,67108864
 
-$ dipole info | head -9 | grep -v 'instruction_set\|protocol'
+$ env -u DIPOLED dipole info | head -9 | grep -v 'instruction_set\|protocol'
 section         name                                value
 --------------  ----------------------------------  ------------------------------------------------------------------------------------------------
 daemon          software                            dipoled 0.1.0

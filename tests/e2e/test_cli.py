@@ -12,16 +12,25 @@ import re
 from pathlib import Path
 
 import pytest
-from daemons import BUILD, REPOSITORY, environment, finished
+from daemons import BUILD, REPOSITORY, Daemon, environment, finished
 
 FOLDER = REPOSITORY / "tests/cli"
 NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?")
 
 
-def run(command: str, folder: Path) -> list[str]:
+@pytest.fixture(scope="module")
+def url():
+    """Returns the address of a daemon that looks for no lost memory, which makes solving slow."""
+    one = Daemon(env={"LD_PRELOAD": ""})
+    yield one.url()
+    one.close()
+
+
+def run(command: str, folder: Path, url: str) -> list[str]:
     """Returns what a command prints, as a file has it. Memory that `dipole` loses is an error, too."""
     path = f"{BUILD}/leaks:{BUILD}:{os.environ['PATH']}"
-    done = finished("sh", "-c", command, cwd=folder, env=environment(PATH=path, NO_COLOR="1"))
+    env = environment(PATH=path, NO_COLOR="1", DIPOLED=url)
+    done = finished("sh", "-c", command, cwd=folder, env=env)
     assert "Sanitizer" not in done.stderr, done.stderr
     lines = done.stdout.splitlines() + [f"! {line}" for line in done.stderr.splitlines()]
     return lines + ([f"? {done.returncode}"] if done.returncode else [])
@@ -49,14 +58,14 @@ def matches(expected: list[str], lines: list[str]) -> bool:
 
 
 @pytest.mark.parametrize("file", sorted(FOLDER.glob("*.t")), ids=lambda file: file.stem)
-def test_commands(file, tmp_path):
+def test_commands(file, tmp_path, url):
     blocks = re.split(r"^(?=\$ )", file.read_text(), flags=re.M)
     faults, made = [], blocks[:1]
     for block in blocks[1:]:
         lines = [line for line in block.splitlines() if not line.startswith("## ")]
         while lines[-1] == "":
             lines.pop()
-        printed = run(lines[0][2:], tmp_path)
+        printed = run(lines[0][2:], tmp_path, url)
         kept = matches(lines[1:], printed)
         comments = [line for line in block.splitlines() if line.startswith("## ")]
         made.append("\n".join([*(lines if kept else [lines[0], *printed]), "", *comments, ""]))
