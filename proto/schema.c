@@ -140,8 +140,7 @@ static size_t kind_bytes(enum schema_kind kind) {
   return bytes[kind];
 }
 
-/* Finds the field of this name, and sets *at to its offset; NULL: there is none. */
-static const schema_field *find_field(const schema_payload *payload, const char *name, size_t *at) {
+const schema_field *schema_field_at(const schema_payload *payload, const char *name, size_t *at) {
   *at = 0;
   for (int i = 0; i < 2 && payload->structures[i] != NULL; i++) {
     for (const schema_field *field = payload->structures[i]->fields; field->name != NULL; field++) {
@@ -156,7 +155,7 @@ static const schema_field *find_field(const schema_payload *payload, const char 
 
 const schema_field *schema_field_of(const schema_payload *payload, const char *name) {
   size_t at;
-  return find_field(payload, name, &at);
+  return schema_field_at(payload, name, &at);
 }
 
 unsigned schema_all_bits(const core_choice *list) {
@@ -260,7 +259,7 @@ static wire_error check_fields(const schema_payload *payload, const uint8_t *byt
       }
       if (field->zero_with != NULL && bits << 1 != 0) { /* it is neither 0 nor -0. */
         size_t with_at;
-        const schema_field *with = find_field(payload, field->zero_with, &with_at);
+        const schema_field *with = schema_field_at(payload, field->zero_with, &with_at);
         assert(with != NULL);
         if (schema_number_at(with, bytes + with_at) == field->zero_at) {
           return wire_error_make(WIRE_STATUS_BAD_VALUE, field->name, field->zero_text);

@@ -197,6 +197,9 @@ extern const schema_message schema_messages[];
 /* Returns the field of a payload's structures that has this name, or NULL. */
 const schema_field *schema_field_of(const schema_payload *payload, const char *name);
 
+/* The same; sets *at to its offset. */
+const schema_field *schema_field_at(const schema_payload *payload, const char *name, size_t *at);
+
 /* Where the parts of a payload are. Offsets count from its start. */
 typedef struct schema_layout {
   uint64_t payload_bytes;

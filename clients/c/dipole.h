@@ -1233,6 +1233,30 @@ bool dipole_statistics(dipole_client *client, dipole_value **values, size_t *cou
 /* Makes an empty round trip, which shows that the daemon replies. */
 bool dipole_ping(dipole_client *client, dipole_error *error);
 
+/* ---- any message --------------------------------------------------------------------------- */
+
+/* A field of a request or one of its arrays, by its name in PROTOCOL.md. */
+typedef struct dipole_field {
+  const char *name;
+  double number;        /* of a field: a number, an id or a sum of ids */
+  const void *elements; /* of an array: [count]; parameters and properties are dipole_parameter */
+  uint64_t count;
+} dipole_field;
+
+typedef struct dipole_reply dipole_reply;
+
+/* Sends the message of this name, such as "tissue", whose reply is one frame, and waits for the reply.
+ * What is not given has its default, or is counted. Frees *reply with dipole_reply_free(). */
+bool dipole_call(dipole_client *client, const char *message, const dipole_field *fields,
+                 size_t field_count, unsigned deadline_ms, dipole_reply **reply,
+                 dipole_error *error);
+
+/* Return a field, or NaN, and the elements of an array, or NULL if it has none. */
+double dipole_reply_number(const dipole_reply *reply, const char *field);
+const void *dipole_reply_array(const dipole_reply *reply, const char *name, uint64_t *count);
+
+void dipole_reply_free(dipole_reply *reply); /* reply may be NULL */
+
 #ifdef __cplusplus
 }
 #endif

@@ -5,8 +5,7 @@
 #include <string.h>
 
 #include "clients/c/error.h"
-#include "clients/c/query.h"
-#include "clients/c/request.h"
+#include "clients/c/message.h"
 
 /* The caller's structure is that of the wire, so the arrays of a frame are used in place. */
 _Static_assert(sizeof(dipole_fitted) == WIRE_BYTES_fitted, "the structures are the same");
@@ -31,43 +30,33 @@ static const libdipole_kind kind = {
 
 /* ---- requests ------------------------------------------------------------------------------ */
 
-static bool check(const dipole_fit_query *query, dipole_error *error) {
-  if (!libdipole_query_check(query->model, query->moments | query->axis | query->scale,
-                             query->parameters, query->parameter_count, error)) {
-    return false;
-  }
-  if ((query->at == NULL && query->reading_count > 0) ||
-      ((query->values == NULL || query->errors == NULL) && query->set_count > 0)) {
-    return libdipole_fail_argument(
-        error, "at, values or errors is NULL although reading_count and set_count are not 0");
-  }
-  if (query->reading_count > CORE_FIT_READINGS_MAX) {
-    return libdipole_fail(error, DIPOLE_ERROR_ARGUMENT, "reading_count is at most %d",
-                          CORE_FIT_READINGS_MAX);
-  }
-  return true;
-}
-
 bool dipole_fit(dipole_client *client, const dipole_fit_query *query, dipole_fits **fits,
                 dipole_error *error) {
-  const uint32_t residuals = query->residuals ? (uint32_t)query->reading_count : 0;
+  const uint64_t count = query->reading_count, all = count * query->set_count;
+  const bool known = query->scale == DIPOLE_REFERENCE;
+  const uint32_t residuals = query->residuals ? (uint32_t)count : 0;
+  const dipole_field fields[] = {
+      {"model", .number = query->model},
+      {"moments", .number = query->moments},
+      {"axis", .number = query->axis},
+      {"scale", .number = query->scale},
+      {"g", .number = query->g},
+      {"eta", .number = query->eta},
+      {"thickness", .number = query->thickness_mm},
+      {"residuals", .number = query->residuals},
+      {"set_count", .number = (double)query->set_count},
+      {"parameter", .elements = query->parameters, .count = query->parameter_count},
+      {"reference", .elements = known ? &query->reference : NULL, .count = known},
+      {"at", .elements = query->at, .count = count},
+      LIBDIPOLE_OR_ZEROS("source", query->source_mm, count),
+      LIBDIPOLE_OR_ZEROS("detector", query->detector_mm, count),
+      {"values", .elements = query->values, .count = all},
+      {"errors", .elements = query->errors, .count = all}};
+  libdipole_made made;
   error = error != NULL ? error : &(dipole_error){0};
-  if (!check(query, error)) {
+  if (!libdipole_make(&made, &schema_fit_request, fields, LIBDIPOLE_COUNT(fields), error)) {
     return false;
   }
-  const fit_start start = {{.set_count = query->set_count, .residuals = query->residuals},
-                           {.model = (uint16_t)query->model,
-                            .moments = (uint16_t)query->moments,
-                            .axis = (uint16_t)query->axis,
-                            .scale = (uint16_t)query->scale,
-                            .reading_count = (uint32_t)query->reading_count,
-                            .parameter_count = (uint16_t)query->parameter_count,
-                            .g = query->g,
-                            .eta = query->eta,
-                            .thickness = query->thickness_mm}};
-  const void *const parts[] = {query->parameters, &query->reference,  query->at,
-                               query->source_mm,  query->detector_mm, query->values,
-                               query->errors};
   const wire_fit_reply most = {.count = query->set_count, .reading_count = residuals};
   const libdipole_shape shape = {&schema_fit_reply, &most, true};
   libdipole_pending pending = {.kind = &kind,
@@ -76,7 +65,7 @@ bool dipole_fit(dipole_client *client, const dipole_fit_query *query, dipole_fit
                                .medium_count = residuals,
                                .radius_count = query->set_count};
   libdipole_frame *frame =
-      libdipole_ask(client, &pending, &schema_fit_request, &start, parts, &shape, error);
+      libdipole_ask(client, &pending, made.payload, made.start, made.parts, &shape, error);
   if (frame == NULL) {
     return false;
   }
@@ -98,38 +87,25 @@ bool dipole_fit(dipole_client *client, const dipole_fit_query *query, dipole_fit
 
 bool dipole_fit_layers(dipole_client *client, const dipole_layers_query *query,
                        dipole_layers_fit **fit, dipole_error *error) {
-  error = error != NULL ? error : &(dipole_error){0};
-  if (query->unknowns > UINT16_MAX || query->scale > UINT16_MAX ||
-      query->layer_count > CORE_LAYERS_MAX || query->reading_count > CORE_FIT_READINGS_MAX) {
-    return libdipole_fail_argument(error,
-                                   "unknowns or scale is above 65535, layer_count above 8 or "
-                                   "reading_count above 1024");
-  }
-  const wire_fit_layers_request start = {.scale = (uint16_t)query->scale,
-                                         .unknowns = (uint16_t)query->unknowns,
-                                         .layer_count = query->layer_count,
-                                         .reading_count = (uint32_t)query->reading_count};
-  const wire_fit_layers_reply wanted = {.unknowns = start.unknowns,
-                                        .reading_count = start.reading_count};
-  const libdipole_shape shape = {&schema_fit_layers_reply, &wanted, false};
-  const void *const parts[] = {query->layers, query->at, query->values, query->errors};
-  libdipole_pending pending = {
-      .kind = &libdipole_plain, .type = WIRE_TYPE_FIT_LAYERS, .deadline_ms = query->deadline_ms};
-  libdipole_frame *frame =
-      libdipole_ask(client, &pending, &schema_fit_layers_request, &start, parts, &shape, error);
-  if (frame == NULL) {
+  const uint64_t count = query->reading_count;
+  const dipole_field fields[] = {{"scale", .number = query->scale},
+                                 {"unknowns", .number = query->unknowns},
+                                 {"medium", .elements = query->layers, .count = query->layer_count},
+                                 {"at", .elements = query->at, .count = count},
+                                 {"values", .elements = query->values, .count = count},
+                                 {"errors", .elements = query->errors, .count = count}};
+  dipole_reply *reply;
+  if (!dipole_call(client, "fit_layers", fields, LIBDIPOLE_COUNT(fields), query->deadline_ms,
+                   &reply, error)) {
     return false;
   }
+  libdipole_frame *frame = (void *)reply;
   const wire_fit_layers_reply *fixed = (const void *)frame->payload;
-  if (fixed->unknowns != wanted.unknowns || fixed->reading_count != wanted.reading_count) {
-    free(frame);
-    return libdipole_bad_reply(client, "a fit of layers is of other readings", error);
-  }
   const dipole_estimate *estimates = (const void *)(fixed + 1);
-  const size_t count = (size_t)__builtin_popcount(fixed->unknowns);
+  const size_t found = (size_t)__builtin_popcount(fixed->unknowns);
   frame->layers_fit = (dipole_layers_fit){
       .status = fixed->status,
-      .estimate_count = count,
+      .estimate_count = found,
       .estimates = estimates,
       .factor = fixed->factor,
       .factor_error = fixed->factor_error,
@@ -137,7 +113,7 @@ bool dipole_fit_layers(dipole_client *client, const dipole_layers_query *query,
       .reduced_chi_squared = fixed->reduced_chi_squared,
       .numerical_error = fixed->numerical_error,
       .reading_count = fixed->reading_count,
-      .residuals = (const void *)(estimates + count),
+      .residuals = (const void *)(estimates + found),
   };
   *fit = &frame->layers_fit;
   return true;

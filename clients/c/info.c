@@ -12,12 +12,6 @@
  * that no product of counts overflows. */
 #define LIST_MAX_BYTES ((uint64_t)1 << 20)
 
-static bool bad_list(dipole_client *client, const char *name, dipole_error *error) {
-  char what[80];
-  snprintf(what, sizeof what, "its %s does not have the length that it announces", name);
-  return libdipole_bad_reply(client, what, error);
-}
-
 /* ---- lists of choices ---------------------------------------------------------------------- */
 
 /* A block of memory that holds an info and everything that the info points to. */
@@ -95,7 +89,7 @@ static bool take_hello(dipole_client *client, const libdipole_frame *frame, cons
   schema_layout layout;
   wire_get_hello_reply(frame->payload, &hello);
   if (!schema_is_whole(&schema_hello_reply, frame->payload, frame->payload_bytes, &layout)) {
-    return bad_list(client, "hello", error);
+    return libdipole_bad_reply(client, "a hello of another length than it announces", error);
   }
   if (hello.version != WIRE_VERSION) {
     return libdipole_fail(error, DIPOLE_ERROR_PROTOCOL,
@@ -161,28 +155,6 @@ unsigned dipole_id(const dipole_client *client, enum dipole_kind kind, const cha
 
 /* ---- lists --------------------------------------------------------------------------------- */
 
-/* Requests a list. In the reply, *count structures follow list_reply. */
-static libdipole_frame *request_list(dipole_client *client, enum wire_type type,
-                                     const schema_payload *reply, size_t *count,
-                                     dipole_error *error) {
-  schema_layout layout;
-  libdipole_pending pending = {.kind = &libdipole_plain,
-                               .type = (uint16_t)type,
-                               .reply_bytes_min = WIRE_BYTES_list_reply,
-                               .reply_bytes_max = LIST_MAX_BYTES};
-  libdipole_frame *frame = libdipole_call(client, &pending, NULL, 0, error);
-  if (frame == NULL) {
-    return NULL;
-  }
-  if (!schema_is_whole(reply, frame->payload, frame->payload_bytes, &layout)) {
-    bad_list(client, wire_type_name(type), error);
-    free(frame);
-    return NULL;
-  }
-  *count = layout.parts[0].count;
-  return frame;
-}
-
 /* Adds a layer to the medium of its name, which is the last one, or begins a medium with it. A layer
  * beyond CORE_LAYERS_MAX is left out. */
 static void add_layer(const uint8_t *at, dipole_measured_medium *media, size_t *count) {
@@ -211,40 +183,38 @@ static void add_layer(const uint8_t *at, dipole_measured_medium *media, size_t *
 
 bool dipole_media(dipole_client *client, dipole_measured_medium **media, size_t *count,
                   dipole_error *error) {
-  error = error != NULL ? error : &(dipole_error){0};
-  size_t layers;
-  libdipole_frame *frame =
-      request_list(client, WIRE_TYPE_MEDIA, &schema_media_reply, &layers, error);
-  if (frame == NULL) {
+  dipole_reply *reply;
+  uint64_t layers;
+  if (!dipole_call(client, "media", NULL, 0, 0, &reply, error)) {
     return false;
   }
+  const uint8_t *at = dipole_reply_array(reply, "media", &layers);
   *count = 0;
   *media = calloc(layers + 1, sizeof **media); /* so that *media is not NULL for an empty list */
   for (size_t i = 0; *media != NULL && i < layers; i++) {
-    add_layer(frame->payload + WIRE_BYTES_list_reply + i * WIRE_BYTES_measured_medium, *media,
-              count);
+    add_layer(at + i * WIRE_BYTES_measured_medium, *media, count);
   }
-  free(frame);
-  return *media != NULL || libdipole_fail_memory(error);
+  dipole_reply_free(reply);
+  return *media != NULL || libdipole_fail_memory(error != NULL ? error : &(dipole_error){0});
 }
 
 bool dipole_statistics(dipole_client *client, dipole_value **values, size_t *count,
                        dipole_error *error) {
-  error = error != NULL ? error : &(dipole_error){0};
-  libdipole_frame *frame =
-      request_list(client, WIRE_TYPE_STATS, &schema_statistics_reply, count, error);
-  if (frame == NULL) {
+  dipole_reply *reply;
+  uint64_t listed;
+  if (!dipole_call(client, "statistics", NULL, 0, 0, &reply, error)) {
     return false;
   }
+  const uint8_t *at = dipole_reply_array(reply, "value", &listed);
+  *count = (size_t)listed;
   /* One block holds the values and then the texts that they point to. */
   *values = calloc(*count + 1, sizeof **values + sizeof(wire_value));
   wire_value *texts = *values != NULL ? (wire_value *)(*values + *count) : NULL;
   for (size_t i = 0; *values != NULL && i < *count; i++) {
-    get_value(frame->payload + WIRE_BYTES_list_reply + i * WIRE_BYTES_value, &texts[i],
-              &(*values)[i]);
+    get_value(at + i * WIRE_BYTES_value, &texts[i], &(*values)[i]);
   }
-  free(frame);
-  return *values != NULL || libdipole_fail_memory(error);
+  dipole_reply_free(reply);
+  return *values != NULL || libdipole_fail_memory(error != NULL ? error : &(dipole_error){0});
 }
 
 bool dipole_ping(dipole_client *client, dipole_error *error) {

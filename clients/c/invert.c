@@ -4,8 +4,7 @@
 #include <string.h>
 
 #include "clients/c/error.h"
-#include "clients/c/query.h"
-#include "clients/c/request.h"
+#include "clients/c/message.h"
 
 /* ---- parts --------------------------------------------------------------------------------- */
 
@@ -28,38 +27,30 @@ static const libdipole_kind kind = {
 
 /* ---- requests ------------------------------------------------------------------------------ */
 
-static bool check(const dipole_invert_query *query, dipole_error *error) {
-  return libdipole_query_check(query->model, query->moments | query->given | query->light, NULL, 0,
-                               error) &&
-         (query->medium_count <= UINT32_MAX ||
-          libdipole_fail_argument(error, "medium_count is above 4294967295")) &&
-         ((query->albedos != NULL && query->lengths_mm != NULL) || query->medium_count == 0 ||
-          libdipole_fail_argument(error,
-                                  "albedos or lengths_mm is NULL although medium_count is not 0"));
-}
-
 bool dipole_invert(dipole_client *client, const dipole_invert_query *query,
                    dipole_inversion **inversion, dipole_error *error) {
-  const void *const parts[] = {query->albedos, query->lengths_mm};
+  const dipole_field fields[] = {
+      {"model", .number = query->model},
+      {"moments", .number = query->moments},
+      {"given", .number = query->given},
+      {"light", .number = query->light},
+      {"specular", .number = query->specular},
+      {"g", .number = query->g},
+      {"eta", .number = query->eta},
+      {"albedo", .elements = query->albedos, .count = query->medium_count},
+      {"length", .elements = query->lengths_mm, .count = query->medium_count}};
   const wire_invert_reply most = {.count = query->medium_count, .errors = 2};
+  const libdipole_shape shape = {&schema_invert_reply, &most, true};
   libdipole_pending pending = {.kind = &kind,
                                .type = WIRE_TYPE_INVERT,
                                .deadline_ms = query->deadline_ms,
                                .radius_count = query->medium_count};
-  const wire_invert_request start = {.model = (uint16_t)query->model,
-                                     .moments = (uint16_t)query->moments,
-                                     .given = (uint16_t)query->given,
-                                     .light = (uint16_t)query->light,
-                                     .specular = query->specular,
-                                     .errors = 2,
-                                     .medium_count = (uint32_t)query->medium_count,
-                                     .g = query->g,
-                                     .eta = query->eta};
-  const libdipole_shape shape = {&schema_invert_reply, &most, true};
+  libdipole_made made;
   libdipole_frame *frame = NULL;
   error = error != NULL ? error : &(dipole_error){0};
-  if (!check(query, error) || (frame = libdipole_ask(client, &pending, &schema_invert_request,
-                                                     &start, parts, &shape, error)) == NULL) {
+  if (!libdipole_make(&made, &schema_invert_request, fields, LIBDIPOLE_COUNT(fields), error) ||
+      (frame = libdipole_ask(client, &pending, made.payload, made.start, made.parts, &shape,
+                             error)) == NULL) {
     return false;
   }
   const wire_invert_reply *fixed = (const void *)frame->payload;

@@ -8,6 +8,11 @@
 
 /* ---- requests and replies ------------------------------------------------------------------ */
 
+/* The reply to any message, whose payload is behind it in its frame. */
+struct dipole_reply {
+  const schema_payload *payload;
+};
+
 /* A received frame, or a reply that was put together of several frames. The caller's result is the
  * first member, so that freeing it frees the payload, too. Behind the payload there is room for the
  * channels of an eval. */
@@ -20,6 +25,7 @@ typedef struct libdipole_frame {
     dipole_tissue_fits tissue_fits;
     dipole_varying_result varying;
     dipole_mc_result mc;
+    dipole_reply reply;
   };
   wire_header header;
   uint64_t payload_bytes; /* may be more than a header can say if the reply had several parts */

@@ -15,9 +15,6 @@ struct dipole_surface {
   _Alignas(8) uint8_t frame[]; /* the frame of the reply: header and payload */
 };
 
-/* The most words of a surface: a frame of the largest size holds no more. */
-#define WORDS_MAX ((UINT32_MAX - (size_t)WIRE_BYTES_table_reply) / sizeof(float) - 1024)
-
 static core_fault prepare_one(dipole_surface *surface, const core_medium *medium,
                               enum core_evaluator evaluator, const float *words,
                               core_varying *varying) {
@@ -95,19 +92,6 @@ static bool is_of(const dipole_surface *surface, unsigned model, unsigned moment
   return same;
 }
 
-static bool is_requested(const dipole_surface *surface, const dipole_table_query *query) {
-  core_parameters parameters = core_parameters_none();
-  for (size_t i = 0; i < query->parameter_count; i++) {
-    /* A daemon that replies knows every parameter, but its list may be longer than this one. */
-    if (query->parameters[i].id >= CORE_PARAMETERS_END) {
-      return false;
-    }
-    parameters.value[query->parameters[i].id] = query->parameters[i].value;
-  }
-  return is_of(surface, query->model, query->moments, query->medium.g, query->medium.eta,
-               &parameters);
-}
-
 bool dipole_surface_fetch(dipole_client *client, const dipole_table_query *query,
                           dipole_surface **surface, dipole_error *error) {
   error = error != NULL ? error : &(dipole_error){0};
@@ -115,21 +99,13 @@ bool dipole_surface_fetch(dipole_client *client, const dipole_table_query *query
     return libdipole_fail_argument(
         error, "sigma_a and sigma_s of a surface's query are 0: it is for all media");
   }
-  libdipole_frame *frame = libdipole_table_request(client, query, WORDS_MAX, error);
-  if (frame == NULL) {
-    return false;
-  }
-  dipole_surface *fetched = NULL;
+  libdipole_frame *frame = libdipole_table_request(client, query, error);
   const bool intact =
+      frame != NULL &&
       dipole_surface_load(libdipole_frame_bytes(frame),
-                          WIRE_BYTES_header + (size_t)frame->payload_bytes, &fetched, error);
+                          WIRE_BYTES_header + (size_t)frame->payload_bytes, surface, error);
   free(frame);
-  if (intact && is_requested(fetched, query)) {
-    *surface = fetched;
-    return true;
-  }
-  dipole_surface_free(fetched);
-  return libdipole_table_refuse(client, intact, error);
+  return intact || libdipole_table_refuse(client, error);
 }
 
 const void *dipole_surface_bytes(const dipole_surface *surface, size_t *count) {

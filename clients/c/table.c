@@ -4,8 +4,7 @@
 #include <string.h>
 
 #include "clients/c/error.h"
-#include "clients/c/query.h"
-#include "clients/c/request.h"
+#include "clients/c/message.h"
 #include "clients/c/table.h"
 #include "core/lut/lut.h"
 #include "proto/table.h"
@@ -191,85 +190,67 @@ bool dipole_table_load(const void *bytes, size_t count, dipole_table **table, di
 
 /* ---- from a daemon ------------------------------------------------------------------------- */
 
-/* Returns the number of layers of a query's medium, and sets *layers to them. */
-static uint16_t layers_of(const dipole_table_query *query, const dipole_medium **layers) {
-  *layers = query->layers != NULL ? query->layers : &query->medium;
-  return libdipole_layers(query->layers != NULL ? query->layer_count : 1);
-}
-
-static bool is_requested(const dipole_table *table, const dipole_table_query *query) {
-  const dipole_medium *layers;
-  const dipole_table_info *info = &table->info;
-  bool same = info->layer_count == layers_of(query, &layers);
-  for (size_t i = 0; same && i < info->layer_count * sizeof *layers / sizeof(double); i++) {
-    same = ((const double *)info->layers)[i] == ((const double *)layers)[i];
+/* Returns whether a reply has these parameters, in any order. */
+static bool has_parameters(const dipole_reply *reply, const dipole_table_query *query) {
+  uint64_t count;
+  const wire_parameter *found = dipole_reply_array(reply, "parameter", &count);
+  bool good = count == query->parameter_count;
+  for (size_t i = 0; good && i < query->parameter_count; i++) {
+    const dipole_parameter *one = &query->parameters[i];
+    size_t k = 0;
+    while (k < count && found[k].parameter != one->id) {
+      k++;
+    }
+    good = k < count && memcmp(&found[k].value, &one->value, sizeof one->value) == 0;
   }
-  return same && info->model == query->model && info->moments == query->moments &&
-         info->parameter_count == query->parameter_count;
+  return good;
 }
 
 libdipole_frame *libdipole_table_request(dipole_client *client, const dipole_table_query *query,
-                                         size_t words_max, dipole_error *error) {
-  if (!libdipole_query_check(query->model, query->moments, query->parameters,
-                             query->parameter_count, error)) {
+                                         dipole_error *error) {
+  const dipole_medium *layers = query->layers != NULL ? query->layers : &query->medium;
+  uint64_t layer_count = libdipole_layers(query->layers != NULL ? query->layer_count : 1);
+  const dipole_field fields[] = {
+      {"model", .number = query->model},
+      {"moments", .number = query->moments},
+      {"medium", .elements = layers, .count = layer_count},
+      {"parameter", .elements = query->parameters, .count = query->parameter_count}};
+  dipole_reply *reply;
+  if (!dipole_call(client, "table", fields, LIBDIPOLE_COUNT(fields), query->deadline_ms, &reply,
+                   error)) {
     return NULL;
   }
-  const dipole_medium *layers;
-  const wire_table_request start = {.model = (uint16_t)query->model,
-                                    .moments = (uint16_t)query->moments,
-                                    .parameter_count = (uint16_t)query->parameter_count,
-                                    .layer_count = layers_of(query, &layers)};
-  const wire_table_reply most = {.parameter_count = start.parameter_count,
-                                 .layer_count = start.layer_count,
-                                 .word_count = (uint32_t)words_max};
-  const void *const parts[] = {layers, query->parameters};
-  libdipole_pending pending = {.kind = &libdipole_plain,
-                               .type = WIRE_TYPE_TABLE,
-                               .deadline_ms = query->deadline_ms,
-                               .medium_count = 1,
-                               .layer_count = start.layer_count};
-  const libdipole_shape shape = {&schema_table_reply, &most, true};
-  libdipole_frame *frame =
-      libdipole_ask(client, &pending, &schema_table_request, &start, parts, &shape, error);
-  if (frame != NULL) {
-    wire_put_header(libdipole_frame_bytes(frame), &frame->header);
+  const void *found = dipole_reply_array(reply, "medium", &layer_count);
+  if (memcmp(found, layers, layer_count * sizeof *layers) != 0 || !has_parameters(reply, query)) {
+    dipole_reply_free(reply);
+    libdipole_bad_reply(client, "it replied to a table request with that of something else", error);
+    return NULL;
   }
+  libdipole_frame *frame = (void *)reply;
+  wire_put_header(libdipole_frame_bytes(frame), &frame->header);
   return frame;
 }
 
-bool libdipole_table_refuse(dipole_client *client, bool intact, dipole_error *error) {
-  return intact || error->kind == DIPOLE_ERROR_TABLE
-             ? libdipole_bad_reply(client,
-                                   intact
-                                       ? "it replied to a table request with that of something else"
-                                       : "it replied to a table request with what is none",
-                                   error)
-             : false;
+bool libdipole_table_refuse(dipole_client *client, dipole_error *error) {
+  return error->kind == DIPOLE_ERROR_TABLE &&
+         libdipole_bad_reply(client, "it replied to a table request with what is none", error);
 }
 
 bool dipole_table_fetch(dipole_client *client, const dipole_table_query *query,
                         dipole_table **table, dipole_error *error) {
-  dipole_table *fetched = NULL;
   error = error != NULL ? error : &(dipole_error){0};
   if (query->layers == NULL && query->medium.sigma_a_per_mm == 0 &&
       query->medium.sigma_s_per_mm == 0) {
     return libdipole_fail_argument(
         error, "sigma_a and sigma_s are 0: dipole_surface_fetch() is for all media");
   }
-  libdipole_frame *frame = libdipole_table_request(client, query, CORE_LUT_WORDS_MAX, error);
-  if (frame == NULL) {
-    return false;
-  }
+  libdipole_frame *frame = libdipole_table_request(client, query, error);
   const bool intact =
+      frame != NULL &&
       dipole_table_load(libdipole_frame_bytes(frame),
-                        WIRE_BYTES_header + (size_t)frame->payload_bytes, &fetched, error);
+                        WIRE_BYTES_header + (size_t)frame->payload_bytes, table, error);
   free(frame);
-  if (intact && is_requested(fetched, query)) {
-    *table = fetched;
-    return true;
-  }
-  dipole_table_free(fetched);
-  return libdipole_table_refuse(client, intact, error);
+  return intact || libdipole_table_refuse(client, error);
 }
 
 /* ---- evaluating a table -------------------------------------------------------------------- */

@@ -11,14 +11,14 @@
 bool libdipole_table_check(const uint8_t *bytes, size_t count, size_t *frame_bytes,
                            dipole_error *error);
 
-/* Sends a table request and waits for the reply, of at most words_max words, whose
- * libdipole_frame_bytes() are then set. Returns NULL if it failed or was refused. */
+/* Sends a table request and waits for the reply, whose libdipole_frame_bytes() are then set. Returns
+ * NULL if it failed or was refused. */
 libdipole_frame *libdipole_table_request(dipole_client *client, const dipole_table_query *query,
-                                         size_t words_max, dipole_error *error);
+                                         dipole_error *error);
 
-/* Fails with kind PROTOCOL if the reply to a table request was no intact table (then *error is of
- * kind TABLE), or the table of something else (intact). Keeps any other error. Returns false. */
-bool libdipole_table_refuse(dipole_client *client, bool intact, dipole_error *error);
+/* Fails with kind PROTOCOL if the reply to a table request was no intact table: *error is then of kind
+ * TABLE. Keeps any other error. Returns false. */
+bool libdipole_table_refuse(dipole_client *client, dipole_error *error);
 
 /* Returns the profile that a table evaluates, of evaluator lut. The table owns it. */
 const core_profile *libdipole_table_profile(const dipole_table *table);

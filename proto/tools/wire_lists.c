@@ -117,6 +117,7 @@ static void put_structures(void) {
           field->list != NULL ? core_choice_by_id(field->list, (unsigned)field->usual) : NULL;
       const bool spans = field->spans && field->list == NULL;
       print_form(field > structure->fields ? ",{" : "{");
+      print_form("'bits':%u,'list':%s,'default':%g,", U(field->bits), name_of(field->list), field->usual);
       print_form("'name':%s,'kind':%s,'count':%u,'bytes':%u,'meaning':%s,'unit':%s,'usual':%s,"
                  "'usual_number':%g,'least':%g,'most':%g}",
                  field->name, schema_kind_name(field->kind), U(field->count), U(field->bytes),

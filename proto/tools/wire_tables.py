@@ -218,13 +218,24 @@ def block(name: str, comment: str, entries: dict) -> str:
 
 def schema_text() -> str:
     fields_of = lambda fields: ", ".join(
-        f"{field['kind']} {field['name']}" + type_of(field)[len(field["kind"]):] for field in fields
+        f"{field['kind']} {field['name']}" + type_of(field)[len(field["kind"]):]
+        + (f" = {field['default']:.16g}" if field["default"] else "")
+        for field in fields
     )
+    payloads = named(LISTS["payloads"])
+    requests = {f"{name}_request": request for name, (_, request, _) in MESSAGES.items()}
+    others = {name: payloads[one] for name, one in requests.items() if one in payloads}
+    lists = lambda bits: {
+        field["name"]: field["list"]
+        for fields in STRUCTURES.values() for field in fields if field["list"] and field["bits"] == bits
+    }
     numbers = {
         "MESSAGES": {name: type for name, (type, *_) in MESSAGES.items()},
         "KINDS": {kind: name for kind, name, _ in LISTS["lists"]},
         "STATUSES": {code: name for code, *_, name in STATUSES},
         "QUANTITIES": {name: bit for bit, _, name, *_ in QUANTITIES},
+        "CHOICES": lists(0),
+        "SUMS": lists(1),
     }
     return "\n".join([
         '"""The messages, structures and lists of dipoled\'s protocol. `make docs` makes this file '
@@ -232,11 +243,11 @@ def schema_text() -> str:
         *(filled(f"{name} = {entries}").replace("'", '"') + "\n" for name, entries in numbers.items()),
         "# quantities with a value for each radius and channel, in the order of a reply's arrays\n"
         f"ELEMENTWISE = {tuple(bit for bit, *_, shape, _ in QUANTITIES if shape not in ('CHANNEL', 'RADII'))}\n",
-        block("STRUCTURES", "# name: kind and name of each field\n",
+        block("STRUCTURES", "# name: kind and name of each field, and its default unless 0\n",
               {name: fields_of(fields) for name, fields in STRUCTURES.items()}),
         block("PAYLOADS", "# The structures that a payload begins with, and its parts: element, "
               "name, number of arrays, and\n# of elements in each; wanted&12 is how many of these "
-              "bits `wanted` has; [] is all that is left.\n", named(LISTS["payloads"])),
+              "bits `wanted` has; [] is all that is left.\n", {**payloads, **others}),
     ])
 
 

@@ -116,6 +116,33 @@ static void check_layers(dipole_client *client) {
   dipole_layers_fit_free(fit);
 }
 
+/* Any message by its name: an answer, a refusal, and what the library refuses itself. */
+static void check_call(dipole_client *client) {
+  const double nm[] = {600, 700};
+  const dipole_parameter blood = {dipole_id(client, DIPOLE_PROPERTY, "hbo2_uM"), 50};
+  dipole_field given[] = {{"tissue", .number = 1},
+                          {"property", .elements = &blood, .count = 1},
+                          {"wavelength", .elements = nm, .count = 2}};
+  const dipole_tissue_query query = {1, DIPOLE_PRAHL, &blood, 1, nm, 2, 0};
+  dipole_medium media[2];
+  dipole_reply *reply;
+  dipole_error error;
+  uint64_t count;
+  CHECK(dipole_call(client, "tissue", given, 3, 0, &reply, &error));
+  CHECK(dipole_tissue(client, &query, media, &error));
+  CHECK(memcmp(dipole_reply_array(reply, "media", &count), media, sizeof media) == 0 && count == 2);
+  CHECK(dipole_reply_number(reply, "haemoglobin") == DIPOLE_PRAHL);
+  CHECK(isnan(dipole_reply_number(reply, "x")) && dipole_reply_array(reply, "x", &count) == NULL);
+  dipole_reply_free(reply);
+  given[0].number = 65535;
+  CHECK(!dipole_call(client, "tissue", given, 3, 0, &reply, &error));
+  CHECK(error.kind == DIPOLE_ERROR_REFUSED && strcmp(error.field, "tissue") == 0);
+  given[0].name = "colour";
+  CHECK(!dipole_call(client, "tissue", given, 3, 0, &reply, &error) &&
+        strstr(error.text, "colour"));
+  CHECK(!dipole_call(client, "eval", NULL, 0, 0, &reply, &error) && strstr(error.text, "eval"));
+}
+
 int main(int argc, char **argv) {
   dipole_client *client;
   CHECK(argc == 2 && dipole_open(argv[1], &client, NULL));
@@ -123,6 +150,7 @@ int main(int argc, char **argv) {
   check_surface(client, transport);
   check_gather(client, transport);
   check_layers(client);
+  check_call(client);
   dipole_close(client);
   return failures != 0;
 }

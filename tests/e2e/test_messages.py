@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 from command_line import Proxy
 from daemons import Daemon, eventually
-from dipole import Frame, wire
+from dipole import Frame, schema, wire
 from frames import (  # noqa: F401  (wrong.txt takes some)
     ALBEDO, BETTER, EVAL, F32, F64, LINEAR, LOGARITHMIC, PING, RADIUS, SKIN, R, ask, assert_closed,
     assert_daemon_serves, assert_error, assert_refused, assert_serves, eval_payload, fit_layers_payload, fit_payload, fit_tissue_payload, frame, tissue_payload,
@@ -87,6 +87,24 @@ def test_it_is_answered_whatever_its_id_and_deadline(connection, message):
         again = answer(connection, message, request_id, deadline_ms)
         assert again == first or message not in SAME
     assert_serves(connection)
+
+
+@pytest.mark.parametrize("message", ["offers", "table", "cancel", "points", "tissue", "fit_layers", "media"])
+def test_it_is_sent_by_the_names_of_its_fields(shared, connection, message):
+    """Client.call() gives the example's fields and arrays, and returns those of its answer."""
+    request, reply = (wire.PAYLOADS.get(f"{message}_{way}") for way in ("request", "reply"))
+    fixed, parts = request.unpack(SAMPLES[message]) if request else (None, {})
+    listed = {name: part.tolist() for name, part in parts.items()}
+    for name in {"parameter", "property"} & {*listed}:
+        listed[name] = {one[0]: one[-1] for one in listed[name]}
+    with shared.client() as client:
+        found = client.call(message, (fixed._asdict() if fixed else {}) | listed)
+    numbers, arrays = reply.unpack(b"".join(answer(connection, message)))
+    for name, one in (numbers._asdict() | arrays).items():
+        if isinstance(found[name], (str, tuple)) and not isinstance(one, tuple):
+            assert name in schema.CHOICES or name in schema.SUMS
+        else:
+            assert_same(found[name], one)
 
 
 @pytest.mark.parametrize(

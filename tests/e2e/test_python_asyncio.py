@@ -44,7 +44,7 @@ def test_every_call_answers_as_the_other_client(shared):
         run(ask())
     own = {name for name in dir(dipole.Client) if not name.startswith("_")}
     both = own & {name for name in dir(AsyncClient) if not name.startswith("_")}
-    assert both == {*CALLS, "statistics", "ping", "eval_parts", "address", "close", "info"}
+    assert both == {*CALLS, "statistics", "ping", "call", "eval_parts", "address", "close", "info"}
 
 
 def test_many_at_a_time_are_told_apart(shared):

@@ -267,9 +267,9 @@ UNIT_TEST(test_arguments) {
   dipole_table_query fetched = {.model = 2, .moments = DIPOLE_EXACT, .medium = peer_media[0]};
 #define TABLE(field, value, why)                                                                   \
   REFUSED(fetched, dipole_table_fetch(client, &wrong, &table, &error), field, value, why)
-  TABLE(model, 65536, IDS);
-  TABLE(moments, 65536, IDS);
-  TABLE(parameter_count, 1, NO_PARAMETERS);
+  TABLE(model, 0, NO_MODEL);
+  TABLE(moments, 65536, "moments is a whole number from 0 to 65535");
+  TABLE(parameter_count, 1, "parameter is NULL although its count is not 0");
   TABLE(medium, (dipole_medium){0},
         "sigma_a and sigma_s are 0: dipole_surface_fetch() is for all media");
   dipole_surface *surface;
@@ -321,16 +321,18 @@ UNIT_TEST(test_arguments) {
   dipole_inversion *inversion;
   dipole_invert_query inverted = {.model = 2,
                                   .moments = DIPOLE_EXACT,
+                                  .given = 1,
                                   .eta = 1.4,
                                   .albedos = radii,
                                   .lengths_mm = radii,
                                   .medium_count = 1};
 #define INVERT(field, value, why)                                                                  \
   REFUSED(inverted, dipole_invert(client, &wrong, &inversion, &error), field, value, why)
-  INVERT(albedos, NULL, "albedos or lengths_mm is NULL although medium_count is not 0");
-  INVERT(lengths_mm, NULL, "albedos or lengths_mm is NULL although medium_count is not 0");
-  INVERT(given, 65536, IDS);
-  INVERT(medium_count, UINT32_MAX + 1ull, "medium_count is above 4294967295");
+#define COUNTS "an array has not as many elements as it needs"
+  INVERT(albedos, NULL, "albedo is NULL although its count is not 0");
+  INVERT(lengths_mm, NULL, "length is NULL although its count is not 0");
+  INVERT(given, 65536, "given is a whole number from 0 to 65535");
+  INVERT(medium_count, UINT32_MAX + 1ull, COUNTS);
 
   dipole_points *points;
   float power_W = 1;
@@ -372,6 +374,9 @@ UNIT_TEST(test_arguments) {
 
   dipole_fits *fits;
   dipole_fit_query fitted = {.model = 2,
+                             .moments = DIPOLE_EXACT,
+                             .axis = 1,
+                             .scale = DIPOLE_ABSOLUTE,
                              .reading_count = 3,
                              .at = radii,
                              .set_count = 1,
@@ -379,34 +384,32 @@ UNIT_TEST(test_arguments) {
                              .errors = radii};
 #define FIT(field, value, why)                                                                     \
   REFUSED(fitted, dipole_fit(client, &wrong, &fits, &error), field, value, why)
-#define READINGS "at, values or errors is NULL although reading_count and set_count are not 0"
-  FIT(axis, 65536, IDS);
-  FIT(at, NULL, READINGS);
-  FIT(values, NULL, READINGS);
-  FIT(errors, NULL, READINGS);
-  FIT(reading_count, 1025, "reading_count is at most 1024");
+  FIT(axis, 65536, "axis is a whole number from 0 to 65535");
+  FIT(at, NULL, "at is NULL although its count is not 0");
+  FIT(set_count, UINT64_MAX / 2, "set_count is a whole number from 0 to 9007199254740992");
 
   dipole_layers_fit *layers_fit;
-  dipole_layers_query layered = {.layers = peer_media, .layer_count = 1};
-#define LAYERS(field, value)                                                                       \
-  REFUSED(layered, dipole_fit_layers(client, &wrong, &layers_fit, &error), field, value,           \
-          "unknowns or scale is above 65535, layer_count above 8 or reading_count above 1024")
-  LAYERS(unknowns, 65536);
-  LAYERS(scale, 65536);
-  LAYERS(layer_count, CORE_LAYERS_MAX + 1);
-  LAYERS(reading_count, 1025);
+  dipole_layers_query layered = {.layers = peer_media, .layer_count = 1, .scale = DIPOLE_ABSOLUTE};
+#define LAYERS(field, value, why)                                                                  \
+  REFUSED(layered, dipole_fit_layers(client, &wrong, &layers_fit, &error), field, value, why)
+  LAYERS(unknowns, 65536, "unknowns is a whole number from 0 to 65535");
+  LAYERS(scale, 65536, "scale is a whole number from 0 to 65535");
+  LAYERS(reading_count, 1, "at is NULL although its count is not 0");
 
   dipole_medium medium;
-  dipole_tissue_query tissue = {.wavelengths_nm = radii, .wavelength_count = 3};
+  dipole_tissue_query tissue = {
+      .haemoglobin = DIPOLE_PRAHL, .wavelengths_nm = radii, .wavelength_count = 3};
 #define TISSUE(field, value, why)                                                                  \
   REFUSED(tissue, dipole_tissue(client, &wrong, &medium, &error), field, value, why)
-  TISSUE(haemoglobin, 65536, IDS);
-  TISSUE(wavelengths_nm, NULL, "wavelengths_nm is NULL although wavelength_count is not 0");
+  TISSUE(haemoglobin, 65536, "haemoglobin is a whole number from 0 to 65535");
+  TISSUE(wavelengths_nm, NULL, "wavelength is NULL although its count is not 0");
 
   dipole_tissue_fits *tissue_fits;
   static const dipole_sought sought;
   dipole_tissue_fit_query spectra = {.tissue = tissue,
                                      .model = 2,
+                                     .axis = 1,
+                                     .scale = DIPOLE_ABSOLUTE,
                                      .sought = &sought,
                                      .sought_count = 1,
                                      .place_count = 1,
@@ -414,18 +417,12 @@ UNIT_TEST(test_arguments) {
                                      .set_count = 1,
                                      .values = radii,
                                      .errors = radii};
-#define SPECTRA(field, value)                                                                      \
-  REFUSED(                                                                                         \
-      spectra, dipole_fit_tissue(client, &wrong, &tissue_fits, &error), field, value,              \
-      "sought, wavelengths_nm, at, values or errors is NULL although its count is not 0, or a "    \
-      "set has more than 65535 readings")
-  SPECTRA(sought, NULL);
-  SPECTRA(sought_count, 65536);
-  SPECTRA(at, NULL);
-  SPECTRA(tissue.wavelengths_nm, NULL);
-  SPECTRA(values, NULL);
-  SPECTRA(errors, NULL);
-  SPECTRA(place_count, 65536 / 3 + 1);
+#define SPECTRA(field, value, why)                                                                 \
+  REFUSED(spectra, dipole_fit_tissue(client, &wrong, &tissue_fits, &error), field, value, why)
+  SPECTRA(sought, NULL, "sought is NULL although its count is not 0");
+  SPECTRA(values, NULL, "values is NULL although its count is not 0");
+  SPECTRA(axis, 0,
+          "axis is 0, which is what dipole_id() returns for a name that the daemon does not have");
 
   dipole_varying_result *varied;
   dipole_varying_query varying = {.model = 2,

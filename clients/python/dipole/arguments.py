@@ -8,7 +8,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from . import wire
+from . import schema, wire
 from .errors import ArgumentError, ProtocolError, naming
 from .values import Array, Info, Media, Medium, Stack
 
@@ -46,21 +46,30 @@ def name_of(info: Info, kind: str, number: int) -> str:
     raise ProtocolError(f"a reply with {kind} {number}, which the daemon has not listed")
 
 
-def ids_of(info: Info, **names: str | int) -> dict[str, int]:
-    """Finds the ids of choices, by the fields that have the names of their kinds."""
-    return {kind: id_of(info, kind, name) for kind, name in names.items()}
+def ids_of(info: Info, **values: Any) -> dict[str, Any]:
+    """Returns the numbers of fields of a request: the id for the name of a choice, the sum of the ids
+    for several."""
+    ids = dict(values)
+    for field, value in values.items():
+        if field in schema.SUMS and not hasattr(value, "__index__"):
+            names = [value] if isinstance(value, str) else value
+            ids[field] = sum({id_of(info, schema.SUMS[field], name) for name in names})
+        elif field in schema.CHOICES:
+            ids[field] = id_of(info, schema.CHOICES[field], value)
+    return ids
 
 
-def names_of_ids(info: Info, fixed: Any, *kinds: str) -> dict[str, str]:
-    """Finds the daemon's names for the ids in fields of a reply, or of a request."""
-    ids = fixed if isinstance(fixed, dict) else fixed._asdict()
-    return {kind: name_of(info, kind, ids[kind]) for kind in kinds}
-
-
-def notes_of(info: Info, notes: int) -> tuple[str, ...]:
-    """Returns the names of the notes in a sum of their bits."""
-    listed = info.choices["note"].values()
-    return tuple(note.name for note in listed if note.id and notes & note.id)
+def names_of_ids(info: Info, fixed: Any, *fields: str) -> dict[str, Any]:
+    """Returns the daemon's names for the ids in fields of a reply, or of a request, a tuple of them
+    for a sum, and other numbers as they are."""
+    names = dict(fixed if isinstance(fixed, dict) else fixed._asdict())
+    for field, number in names.items():
+        if field in schema.SUMS:
+            choices = info.choices[schema.SUMS[field]].values()
+            names[field] = tuple(one.name for one in choices if one.id & number)
+        elif field in schema.CHOICES and field in (fields or names):
+            names[field] = name_of(info, schema.CHOICES[field], number)
+    return {field: names[field] for field in fields or names}
 
 
 def _full(media: Any) -> Any:

@@ -15,6 +15,7 @@ from . import varying as textures
 from .connection import Tls
 from .errors import ArgumentError, ProtocolError
 from .exchange import Once, Request
+from .message import call
 from .session import Session
 from .values import Info, MeasuredMedia, Query
 
@@ -104,12 +105,8 @@ async def media(session: Session) -> MeasuredMedia:
 
 async def statistics(session: Session) -> dict[str, int]:
     """Returns the daemon's statistics by name. A name ends in the unit of its number."""
-
-    def read(reply: bytes) -> dict[str, int]:
-        entries = wire.PAYLOADS["statistics_reply"].unpack(reply)[1]["value"]
-        return {entry.name: entry.value for entry in entries}
-
-    return await session.call(Request("statistics", b"", lambda: Once(read)))
+    entries = (await call(session, "statistics"))["value"]
+    return {entry.name: entry.value for entry in entries}
 
 
 async def ping(session: Session, payload: bytes = b"") -> float:
@@ -198,6 +195,7 @@ class Calls:
     media = Call(media)
     statistics = Call(statistics)
     ping = Call(ping)
+    call = Call(call)
 
     def __init_subclass__(cls) -> None:
         for name, one in vars(Calls).items():

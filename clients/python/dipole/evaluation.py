@@ -9,7 +9,7 @@ from typing import Any, NamedTuple, TypeVar, Unpack
 import numpy as np
 
 from . import wire
-from .arguments import id_of, in_precision, layers_of, media_array, name_of, names_of, notes_of
+from .arguments import id_of, in_precision, layers_of, media_array, name_of, names_of
 from .arguments import names_of_ids, parameters_of
 from .session import Session
 from .connection import frame_pieces
@@ -308,12 +308,11 @@ def _common_fields(joined: Joined, shape: Shape, info: Info) -> dict[str, Any]:
     errors = joined.heads[0]["errors"].view("<f8").reshape(shape.medium_count, -1, 3)
     quantities = sorted(info.choices["quantity"].values())
     return {
-        **names_of_ids(info, fixed, "model", "evaluator", "moments"),
+        **names_of_ids(info, fixed, "model", "evaluator", "moments", "notes"),
         "errors": {
             one.name: Errors(*errors[:, i].T)
             for i, one in enumerate(one for one in quantities if one.id & fixed.wanted)
         },
-        "notes": notes_of(info, fixed.notes),
         "quantities": {one.name: arrays[one.id] for one in quantities if one.id in arrays},
     }
 

@@ -11,7 +11,8 @@ import numpy as np
 from . import wire
 from .arguments import id_of, ids_of, layers_of, media_array, name_of, parameters_of
 from .errors import ArgumentError, naming
-from .exchange import Joined, Once, Request, pieces, together
+from .exchange import Joined, pieces, together
+from .message import call
 from .session import Session
 from .values import Array, Estimate, Fits, LayersFit, Media, TissueFits
 
@@ -159,32 +160,18 @@ async def fit_layers(
     info = session.info
     stack = layers_of(layers)
     readings, spread = _arrays(values, errors)
-    fixed = {
-        "scale": id_of(info, "scale", scale),
-        "unknowns": sum({id_of(info, "unknown", name) for name in unknowns}),
-    }
-    lists = _places(readings.size, at=at, values=readings.reshape(-1), errors=spread.reshape(-1))
-    payload = wire.PAYLOADS["fit_layers_request"].pack(fixed, medium=stack.tobytes(), **lists)
-
-    def read(reply: bytes) -> LayersFit:
-        found, parts = wire.PAYLOADS["fit_layers_reply"].unpack(reply)
-        estimates = {
-            name_of(info, "unknown", int(one["unknown"])): Estimate(
-                name_of(info, "fit_status", int(one["status"])),
-                float(one["value"]),
-                float(one["error"]),
-            )
-            for one in parts["estimates"]
-        }
-        return LayersFit(
-            name_of(info, "fit_status", found.status),
-            estimates,
-            *(found.factor, found.factor_error, found.chi_squared, found.reduced_chi_squared),
-            found.numerical_error,
-            parts["residuals"],
+    lists = {"at": at, "values": readings.reshape(-1), "errors": spread.reshape(-1)}
+    given = {"scale": scale, "unknowns": unknowns, "medium": stack, **lists}
+    found = await call(session, "fit_layers", given, deadline_ms=deadline_ms)
+    found["estimates"] = {
+        name_of(info, "unknown", int(one["unknown"])): Estimate(
+            name_of(info, "fit_status", int(one["status"])),
+            float(one["value"]),
+            float(one["error"]),
         )
-
-    return await session.call(Request("fit_layers", payload, lambda: Once(read), deadline_ms))
+        for one in found["estimates"]
+    }
+    return LayersFit(*(found[name] for name in LayersFit._fields))
 
 
 async def fit_tissue(
@@ -237,10 +224,9 @@ async def fit_tissue(
             wire.SOUGHT.pack(property=id_of(info, "property", one), low=low, high=high)
             for one, (low, high) in ((one, pair or (0, 0)) for one, pair in limits.items())
         ]
-    ids = ids_of(info, model=model, axis=axis, scale=scale, haemoglobin=haemoglobin)
+    ids = ids_of(info, model=model, axis=axis, scale=scale, haemoglobin=haemoglobin, tissue=0 if name is None else name)
     fixed = {
         **ids,
-        "tissue": 0 if name is None else id_of(info, "tissue", name),
         "residuals": int(residuals),
         "detector_na": float(detector_na),
     }

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from . import wire
-from .arguments import ids_of, media_array, names_of_ids, notes_of, parameters_of
+from .arguments import ids_of, media_array, names_of_ids, parameters_of
 from .session import Session
 from .errors import ArgumentError, ProtocolError, Refused, naming
 from .exchange import Joined, Once, Request, pieces, together
@@ -203,7 +203,8 @@ async def gather(
     replies = [reply for piece in found for reply in piece.replies]
     stated = np.stack([head["errors"] for piece in found for head in piece.heads])
     return Gathered(
-        **names_of_ids(info, ids, *ids),
+        **names_of_ids(info, ids),
+        **names_of_ids(info, replies[-1], "notes"),
         tolerance=fixed["tolerance"],
         M=sums,
         bound=max(reply.bound for reply in replies),
@@ -211,7 +212,6 @@ async def gather(
         model_error=stated["model_error"].max(axis=0),
         points_visited=sum(reply.points_visited for reply in replies),
         nodes_visited=sum(reply.nodes_visited for reply in replies),
-        notes=notes_of(info, replies[-1].notes),
     )
 
 

@@ -40,9 +40,9 @@ async def invert(
     info = session.info
     with naming("albedo, length"):
         albedos, lengths = np.broadcast_arrays(np.asarray(albedo, "<f8"), np.asarray(length, "<f8"))
-    ids = ids_of(info, model=model, moments=moments, length=given, light=light)
-    same = {"given": ids.pop("length"), "model": ids["model"], "moments": ids["moments"], "errors": 2}
-    fixed = {"specular": bool(specular), "g": float(g), "eta": float(eta), **ids, **same}
+    same = ids_of(info, model=model, moments=moments, given=given) | {"errors": 2}
+    fixed = {"specular": bool(specular), "g": float(g), "eta": float(eta), **same}
+    fixed |= ids_of(info, light=light)
     payload = wire.PAYLOADS["invert_request"].pack(
         fixed, albedo=albedos.tobytes(), length=lengths.tobytes()
     )
@@ -52,7 +52,7 @@ async def invert(
         if others:
             raise ProtocolError("parts of an invert reply that do not belong together")
         made: dict[str, Any] = {name: one.reshape(albedos.shape) for name, one in whole.arrays.items()}
-        made |= names_of_ids(info, ids, "model", "moments")
+        made |= names_of_ids(info, same, "model", "moments")
         return Inversion(
             **made,
             g=float(g),

@@ -20,10 +20,19 @@ QUANTITIES = {"R": 1, "albedo": 2, "cdf": 4, "r": 8, "dR_dr": 16, "ln_R": 32, "p
     "time": 131072, "phase": 262144, "modulation": 524288, "balance": 1048576, "phase_f": 2097152,
     "modulation_f": 4194304}
 
+CHOICES = {"model": "model", "evaluator": "evaluator", "moments": "moments", "spacing": "spacing",
+    "draw": "draw", "given": "length", "light": "light", "axis": "axis", "scale": "scale",
+    "status": "fit_status", "unknown": "unknown", "tissue": "tissue",
+    "haemoglobin": "haemoglobin", "property": "property", "saturation_status": "fit_status",
+    "total_status": "fit_status"}
+
+SUMS = {"wanted": "quantity", "notes": "note", "coefficients": "coefficient",
+    "unknowns": "unknown"}
+
 # quantities with a value for each radius and channel, in the order of a reply's arrays
 ELEMENTWISE = (1, 4, 16, 32, 64, 128, 256, 512, 1024, 2048, 8192, 16384, 32768, 65536, 131072, 262144, 524288, 2097152, 4194304)
 
-# name: kind and name of each field
+# name: kind and name of each field, and its default unless 0
 STRUCTURES = """\
 header: u32 magic, u16 version, u16 type, u64 request_id, u32 payload_bytes, u32 deadline_ms
 hello_request: u16 version_min, u16 version_max, u32 zero
@@ -31,9 +40,10 @@ hello_reply: u16 version, u16 version_min, u16 version_max, u16 workers, u32 cho
     u32 limit_count, text software[32], text instruction_set[16], text R_unit[48]
 choice: u32 kind, u32 id, text name[32], text about[96]
 value: text name[40], u64 value
-eval_request: u16 model, u16 evaluator, u16 moments, u16 spacing, u32 wanted, u32 medium_count,
-    u64 radius_count, f64 radius_start, f64 radius_stop, u32 layer_count, u32 parameter_count
-medium: f64 sigma_a, f64 sigma_s, f64 g, f64 eta, f64 thickness
+eval_request: u16 model = 29, u16 evaluator = 1, u16 moments = 1, u16 spacing = 1,
+    u32 wanted = 11, u32 medium_count, u64 radius_count, f64 radius_start, f64 radius_stop,
+    u32 layer_count = 1, u32 parameter_count
+medium: f64 sigma_a, f64 sigma_s, f64 g, f64 eta = 1.3, f64 thickness
 parameter: u16 parameter, u16 zero, u32 zero_too, f64 value
 part: u32 part, u32 part_count, u64 first, u64 count
 eval_reply: u32 part, u32 part_count, u64 first, u64 count, u16 model, u16 evaluator, u16 moments,
@@ -46,7 +56,7 @@ list_reply: u32 count, u32 zero
 measured_medium: text name[16], f64 sigma_a[3], f64 sigma_s[3], f64 g[3], f64 eta[3],
     f64 thickness[3]
 mc_request: u16 spacing, u16 albedo_count, u32 ring_count, f64 radius_start, f64 radius_stop,
-    u32 layer_count, u32 zero, u64 seed, u64 photons, f64 error_total, f64 error_rings
+    u32 layer_count = 1, u32 zero, u64 seed, u64 photons, f64 error_total, f64 error_rings
 mc_reply: u16 state, u16 side_count, u16 albedo_count, u16 worst_side, u32 ring_count,
     u16 worst_albedo, u16 zero, f64 worst_from, f64 worst_to, f64 error_total, f64 error_rings,
     u64 number, u64 photons, u64 photons_expected
@@ -56,7 +66,7 @@ mc_energy: f64 albedo, f64 reflected, f64 reflected_error, f64 transmitted, f64 
     f64 over_error[2], f64 in_layer[8], f64 in_layer_error[8], f64 imbalance
 cancel_request: u64 job_id
 cancel_reply: u32 found, u32 zero
-table_request: u16 model, u16 moments, u16 parameter_count, u16 layer_count
+table_request: u16 model = 29, u16 moments = 1, u16 parameter_count, u16 layer_count = 1
 table_reply: u16 layout, u16 model, u16 moments, u16 parameter_count, u32 word_count,
     u32 checksum, u32 notes, u32 layer_count, f64 albedo, f64 numerical_error,
     f64 numerical_error_per_mm, f64 model_error, f64 pieces_from, f64 pieces_to, f64 radius_least,
@@ -64,15 +74,16 @@ table_reply: u16 layout, u16 model, u16 moments, u16 parameter_count, u32 word_c
 offers_reply: u32 count, u32 taken
 offer: u16 model, u16 evaluator, u32 meets, f64 error, f64 numerical_error, f64 cost,
     f64 prepare_cost
-sample_request: u16 model, u16 evaluator, u16 moments, u16 draw, u32 wanted, u32 medium_count,
-    u64 sample_count, u64 sample_first, u64 seed, u32 layer_count, u32 parameter_count
-invert_request: u16 model, u16 moments, u16 given, u16 light, u32 medium_count, u16 specular,
-    u16 errors, f64 g, f64 eta
+sample_request: u16 model = 29, u16 evaluator = 1, u16 moments = 1, u16 draw = 4, u32 wanted = 8,
+    u32 medium_count, u64 sample_count, u64 sample_first, u64 seed, u32 layer_count = 1,
+    u32 parameter_count
+invert_request: u16 model = 29, u16 moments = 1, u16 given = 1, u16 light = 1, u32 medium_count,
+    u16 specular, u16 errors = 2, f64 g, f64 eta = 1.3
 invert_reply: u32 part, u32 part_count, u64 first, u64 count, u16 model, u16 moments, u16 given,
     u16 errors, u64 missing_count, f64 albedo_least, f64 albedo_most
 fit_request: u64 set_count, u16 residuals, u16 zero, u32 zero_too
-fit_design: u16 model, u16 moments, u16 axis, u16 scale, u32 reading_count, u16 parameter_count,
-    u16 zero, f64 g, f64 eta, f64 thickness
+fit_design: u16 model = 29, u16 moments = 1, u16 axis = 1, u16 scale = 1, u32 reading_count,
+    u16 parameter_count, u16 zero, f64 g, f64 eta, f64 thickness
 fit_reply: u32 part, u32 part_count, u64 first, u64 count, u64 fitted_count, u32 reading_count,
     u32 notes
 fitted: u16 status, u16 bounds, u16 field, u16 zero, u32 index, u32 evaluations, f64 sigma_a,
@@ -80,28 +91,31 @@ fitted: u16 status, u16 bounds, u16 field, u16 zero, u32 index, u32 evaluations,
     f64 variance_a, f64 covariance_a_s, f64 variance_s, f64 covariance_a_factor,
     f64 covariance_s_factor, f64 variance_factor, f64 second_sigma_a, f64 second_sigma_s_prime,
     f64 second_factor, f64 second_chi_squared, f64 model_error
-varying_request: u16 model, u16 evaluator, u16 moments, u16 coefficients, u16 given, u16 light,
-    u16 specular, u16 numbers, u32 wanted, u32 parameter_count, u64 value_count, f64 g, f64 eta
+varying_request: u16 model = 29, u16 evaluator = 2, u16 moments = 1, u16 coefficients,
+    u16 given = 1, u16 light = 1, u16 specular, u16 numbers, u32 wanted, u32 parameter_count,
+    u64 value_count, f64 g, f64 eta = 1.3
 varying_reply: u32 part, u32 part_count, u64 first, u64 count, u16 model, u16 evaluator,
     u16 moments, u16 coefficients, u32 wanted, u32 notes, u64 computed_count, f64 numerical_error,
     f64 model_error, f64 colour_least, f64 colour_most, f64 specular
 points_request: u64 set[2], u32 channel_count, u32 zero, u64 point_count, u64 point_first,
     u64 part_points
 points_reply: u64 set[2], u32 known, u32 zero, u64 point_next
-gather_request: u16 model, u16 evaluator, u16 moments, u16 parameter_count, u32 medium_count,
-    u16 layer_count, u16 zero, u64 set[2], u64 query_count, f64 tolerance
+gather_request: u16 model = 29, u16 evaluator = 3, u16 moments = 1, u16 parameter_count,
+    u32 medium_count, u16 layer_count = 1, u16 zero, u64 set[2], u64 query_count,
+    f64 tolerance = 0.01
 gather_reply: u32 part, u32 part_count, u64 first, u64 count, u16 model, u16 evaluator,
     u16 moments, u16 zero, u32 channel_count, u32 notes, f64 bound, u64 points_visited,
     u64 nodes_visited
-fit_layers_request: u16 scale, u16 unknowns, u32 layer_count, u32 reading_count, u32 zero
+fit_layers_request: u16 scale = 1, u16 unknowns, u32 layer_count = 1, u32 reading_count, u32 zero
 fit_layers_reply: u16 status, u16 unknowns, u32 reading_count, u64 evaluations, f64 factor,
     f64 factor_error, f64 chi_squared, f64 reduced_chi_squared, f64 numerical_error
 estimate: u16 unknown, u16 status, u32 zero, f64 value, f64 error
-tissue_request: u16 tissue, u16 haemoglobin, u32 property_count, u32 wavelength_count, u32 zero
+tissue_request: u16 tissue, u16 haemoglobin = 1, u32 property_count, u32 wavelength_count,
+    u32 zero
 tissue_reply: u16 haemoglobin, u16 zero, u32 wavelength_count
-fit_tissue_request: u64 set_count, u16 model, u16 axis, u16 scale, u16 residuals, u16 tissue,
-    u16 haemoglobin, u32 property_count, u32 sought_count, u32 wavelength_count, u32 place_count,
-    u32 zero, f64 detector_na
+fit_tissue_request: u64 set_count, u16 model = 29, u16 axis = 1, u16 scale = 1, u16 residuals,
+    u16 tissue, u16 haemoglobin = 1, u32 property_count, u32 sought_count, u32 wavelength_count,
+    u32 place_count, u32 zero, f64 detector_na
 sought: u16 property, u16 zero, u32 zero_too, f64 low, f64 high
 fit_tissue_reply: u32 part, u32 part_count, u64 first, u64 count, u64 fitted_count,
     u32 reading_count, u16 sought_count, u16 haemoglobin, f64 g, f64 eta
@@ -176,4 +190,6 @@ points_reply: points_reply
 gather_request: gather_request; medium medium[layer_count*medium_count];
     parameter parameter[parameter_count]; f64 xyz[query_count*3]
 gather_reply: gather_reply; quantity_error errors[channel_count]; f64 M[channel_count*count]
+offers_request: eval_request; medium medium[layer_count*medium_count];
+    parameter parameter[parameter_count]; real r[radius_count] if spacing is 1
 """

@@ -15,6 +15,7 @@ from .arguments import known
 from .connection import Connection
 from .errors import ArgumentError, ConnectionLost, DipoleError, Refused
 from .exchange import Exchange, Once, Request
+from .message import call
 from .opening import Opening
 from .values import Info, MeasuredMedia, Media, Medium, Stack
 
@@ -146,18 +147,14 @@ class Session:
 
     async def media(self) -> MeasuredMedia:
         """Returns the media that the daemon knows by name."""
-
-        def read(reply: bytes) -> MeasuredMedia:
-            layers: dict[str, list[Iterable[Medium]]] = {}
-            for one in wire.PAYLOADS["media_reply"].unpack(reply)[1]["media"]:
-                channels = map(Medium, one.sigma_a, one.sigma_s, one.g, one.eta, one.thickness)
-                layers.setdefault(one.name, []).append(channels)
-            return {
-                name: tuple(of[0]) if len(of) == 1 else tuple(map(Stack, *of))
-                for name, of in layers.items()
-            }
-
-        return await self.call(Request("media", b"", lambda: Once(read)))
+        layers: dict[str, list[Iterable[Medium]]] = {}
+        for one in (await call(self, "media"))["media"]:
+            channels = map(Medium, one.sigma_a, one.sigma_s, one.g, one.eta, one.thickness)
+            layers.setdefault(one.name, []).append(channels)
+        return {
+            name: tuple(of[0]) if len(of) == 1 else tuple(map(Stack, *of))
+            for name, of in layers.items()
+        }
 
     async def media_of(self, given: Media) -> Media:
         """Returns the channels of a measured medium for its name, and other media unchanged."""

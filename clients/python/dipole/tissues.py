@@ -7,10 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from . import wire
-from .arguments import id_of, parameters_of
-from .errors import ProtocolError, naming
-from .exchange import Once, Request
+from .errors import naming
+from .message import call
 from .session import Session
 from .values import Medium
 
@@ -33,22 +31,13 @@ async def tissue(
     there is: a_per_mm and b have to be given, and other amounts are 0. haemoglobin: the table of
     its absorption, "prahl" or "ucl". They differ by up to 31 %: say with results which one it was.
     Refused is a wavelength at which a spectrum or the scattering law is not known."""
-    info = session.info
     with naming("wavelengths_nm: one number, or an array [N]"):
         wavelengths = np.asarray(wavelengths_nm, "<f8").reshape(-1)
-    fixed = {
-        "tissue": 0 if name is None else id_of(info, "tissue", name),
-        "haemoglobin": id_of(info, "haemoglobin", haemoglobin),
+    given = {
+        "tissue": 0 if name is None else name,
+        "haemoglobin": haemoglobin,
+        "property": properties,
+        "wavelength": wavelengths,
     }
-    listed = parameters_of(info, properties, kind="property")
-    payload = wire.PAYLOADS["tissue_request"].pack(
-        fixed, property=listed, wavelength=wavelengths.tobytes()
-    )
-
-    def read(reply: bytes) -> list[Medium]:
-        found, parts = wire.PAYLOADS["tissue_reply"].unpack(reply)
-        if (found.haemoglobin, len(parts["media"])) != (fixed["haemoglobin"], wavelengths.size):
-            raise ProtocolError("media of another tissue")
-        return [Medium(*map(float, one)) for one in parts["media"]]
-
-    return await session.call(Request("tissue", payload, lambda: Once(read), deadline_ms))
+    found = await call(session, "tissue", given, deadline_ms=deadline_ms)
+    return [Medium(*map(float, one)) for one in found["media"]]

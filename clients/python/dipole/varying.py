@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from . import wire
-from .arguments import id_of, ids_of, names_of_ids, notes_of, parameters_of
+from .arguments import id_of, ids_of, names_of_ids, parameters_of
 from .session import Session
 from .errors import ArgumentError, naming
 from .exchange import Joined, pieces, together
@@ -112,13 +112,12 @@ async def varying(
     }
     fixed: dict[str, Any] = {
         **same,
-        "given": id_of(info, "length", given) if coloured else 0,
-        "light": id_of(info, "light", light) if coloured else 0,
-        "specular": int(specular) if coloured else 0,
         "numbers": numbers,
         "g": float(g),
         "eta": float(eta),
     }
+    if coloured:
+        fixed |= ids_of(info, given=given, light=light, specular=int(specular))
     listed_parameters = parameters_of(info, parameters, tolerance)
 
     def pack(first: int, end: int) -> bytes:
@@ -137,13 +136,13 @@ async def varying(
     faults = set(np.unique(statuses).tolist()) - set(wire.VALUES_COMPUTED)
     return Varying(
         **names_of_ids(info, same, "model", "moments", "evaluator"),
+        **names_of_ids(info, last, "notes"),
         g=fixed["g"],
         eta=fixed["eta"],
         quantities={name: one.reshape(shape) for name, one in zip(wanted_bits.values(), values)},
         coefficients={name: one.reshape(shape) for name, one in zip(coefficient_bits.values(), media)},
         statuses=statuses.reshape(shape),
         faults={one.name: one.about for one in info.choices["value"].values() if one.id in faults},
-        notes=notes_of(info, last.notes),
         numerical_error=float(np.max([reply.numerical_error for reply in replies])),
         model_error=float(np.max([reply.model_error for reply in replies])),
         colour_least=last.colour_least,

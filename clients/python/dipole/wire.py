@@ -59,12 +59,17 @@ MC_STATES = dict(enumerate(("photons", "errors", "cancelled", "stopped"), 1))
 _FORMATS = {"u16": "H", "u32": "I", "u64": "Q", "f64": "d", "text": "s"}
 
 
+_TYPES = {"u16": int, "u32": int, "u64": int, "f64": float, "text": int}
+_FIELD = re.compile(r"(\w+) (\w+)(?:\[(\d+)\])?(?: = ([^, ]+))?")
+
+
 class Field(NamedTuple):
     """One field: `count` numbers of a kind, or a text of `count` bytes padded with zero bytes."""
 
     kind: str
     name: str
     count: int  # type: ignore[assignment]  # hides tuple.count()
+    usual: float  # its default
 
     @property
     def is_array(self) -> bool:
@@ -73,12 +78,14 @@ class Field(NamedTuple):
 
 
 class Structure:
-    """A structure of fixed size, declared by a text like "f64 eta, f64 g[3], text name[16]"."""
+    """A structure of fixed size, declared by a text like "f64 eta = 1.3, f64 g[3], text name[16]"."""
 
     def __init__(self, name: str, declarations: str):
         self.name = name
-        parts = re.findall(r"(\w+) (\w+)(?:\[(\d+)\])?", declarations)
-        self.fields = tuple(Field(kind, field, int(count or 1)) for kind, field, count in parts)
+        self.fields = tuple(
+            Field(kind, name, int(count or 1), _TYPES[kind](usual or 0))
+            for kind, name, count, usual in _FIELD.findall(declarations)
+        )
         formats = (f"{field.count}{_FORMATS[field.kind]}" for field in self.fields)
         self._struct = struct.Struct("<" + "".join(formats))
         self.names = [field.name for field in self.fields]
@@ -199,6 +206,13 @@ class Part:
         there = not self._how or (_factor(self._if, fixed) == int(self._is)) == (self._how == "if")
         return tuple(_product(one, fixed) for one in self._products or ["1"]) if there else (0,)
 
+    def dtype(self, evaluator_id: int) -> np.dtype[Any]:
+        """Returns the type of numpy arrays of its elements."""
+        if self.element in STRUCTURES:
+            return STRUCTURES[self.element].dtype()
+        real = self.element == "real"
+        return np.dtype(EVALUATOR_TYPES[evaluator_id] if real else _NUMBERS[self.element])
+
     def take(self, data: bytes, at: int, fixed: Any) -> tuple[Any, int]:
         """Reads the part at an offset. Returns its elements, and where it ends."""
         *arrays, count = self.shape(fixed)
@@ -206,8 +220,7 @@ class Part:
         if structure is not None and not structure.is_flat:
             ends = range(at, at + count * structure.bytes, structure.bytes)
             return [structure.unpack(data, i) for i in ends], at + count * structure.bytes
-        kind = EVALUATOR_TYPES[fixed.evaluator] if self.element == "real" else self.element
-        dtype = structure.dtype() if structure is not None else np.dtype(_NUMBERS.get(kind, kind))
+        dtype = self.dtype(getattr(fixed, "evaluator", 1))
         each = padded(count * dtype.itemsize)
         if not arrays:
             return np.frombuffer(data, dtype, count, at), at + each
@@ -220,10 +233,12 @@ class Payload:
 
     def __init__(self, name: str, declarations: list[str]):
         self.name = name
-        self._structures = [STRUCTURES[one] for one in declarations if " " not in one]
-        self._parts = [Part(one) for one in declarations if " " in one]
-        self._bytes = sum(structure.bytes for structure in self._structures)
-        self.of_items = [part.name for part in self._parts if part.is_of_items]
+        self.structures = [STRUCTURES[one] for one in declarations if one and " " not in one]
+        self.parts = [Part(one) for one in declarations if " " in one]
+        self._bytes = sum(structure.bytes for structure in self.structures)
+        self.fields = [field for structure in self.structures for field in structure.fields]
+        self.names = [field.name for field in self.fields]
+        self.of_items = [part.name for part in self.parts if part.is_of_items]
 
     def pack(self, *fixed: Mapping[str, Any], **parts: Any) -> bytes:
         """Returns the bytes of a payload. fixed: the fields of its structures, of which counts may be
@@ -231,7 +246,7 @@ class Payload:
         elements."""
         pieces: list[bytes | memoryview] = []
         counts: dict[str, int] = {}
-        for part in self._parts:
+        for part in self.parts:
             data = memoryview(parts.pop(part.name, b"")).cast("B")
             pieces += [data, bytes(padded(len(data)) - len(data))]
             if part.counted_by is not None:
@@ -239,7 +254,7 @@ class Payload:
         assert not parts, parts
         starts = (
             one.pack(**{name: counts[name] for name in one.names if name in counts} | given)
-            for one, given in zip(self._structures, fixed, strict=True)
+            for one, given in zip(self.structures, fixed, strict=True)
         )
         return b"".join([*starts, *pieces])
 
@@ -248,12 +263,12 @@ class Payload:
         hold text or arrays. Raises ProtocolError if the length does not fit the counts."""
         if len(payload) < self._bytes:
             raise ProtocolError(f"a {self.name} that is too short")
-        fixed, at = self._structures[0].unpack(payload), self._bytes
+        fixed, at = self.structures[0].unpack(payload), self._bytes
         if getattr(fixed, "evaluator", 1) not in EVALUATOR_TYPES:
             raise ProtocolError(f"a {self.name} of evaluator {fixed.evaluator}, not known here")
         parts = {}
         try:
-            for part in self._parts:
+            for part in self.parts:
                 parts[part.name], at = part.take(payload, at, fixed)
         except (ValueError, OverflowError, struct.error):
             at = -1
@@ -263,3 +278,4 @@ class Payload:
 
 
 PAYLOADS = {name: Payload(name, parts.split("; ")) for name, parts in _entries(schema.PAYLOADS)}
+NOTHING = Payload("nothing", [])
