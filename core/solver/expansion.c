@@ -290,6 +290,12 @@ static void map_rule(gauss_rule *mapped, const gauss_rule *rule, double from, do
   }
 }
 
+size_t solver_expansion_degrees(const expansion_rules *rules, size_t m, size_t panels) {
+  const bool many = rules->degrees >= m + rules->degrees_least;
+  const size_t degrees = many ? rules->degrees - m : rules->degrees_least;
+  return panels == 1 ? degrees : (degrees + panels - 1) / panels + 1;
+}
+
 expansion *solver_expansion_new(const core_isa *isa, const expansion_rules *rules,
                                 const expansion_medium *medium,
                                 const expansion_boundaries *boundaries) {
@@ -321,9 +327,7 @@ expansion *solver_expansion_new(const core_isa *isa, const expansion_rules *rule
       made->edge[1 + i] = boundaries->edge[i];
     }
     for (size_t m = 0; m <= rules->orders; m++) {
-      const bool many = rules->degrees >= m + rules->degrees_least;
-      const size_t degrees = many ? rules->degrees - m : rules->degrees_least;
-      const size_t each = panels == 1 ? degrees : (degrees + panels - 1) / panels + 1;
+      const size_t each = solver_expansion_degrees(rules, m, panels);
       for (size_t panel = 0; panel < panels; panel++) {
         map_rule(&panel_rule, &rule, made->edge[panel], made->edge[panel + 1]);
         find_recurrence(&by[m * panels + panel], &panel_rule, m, each);

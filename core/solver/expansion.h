@@ -86,6 +86,9 @@ typedef struct expansion {
   double *exit[EXPANSION_ETAS_MAX][1 + EXPANSION_CONES_MAX];
 } expansion;
 
+/* Returns how many functions of order m there are on each of some panels. */
+size_t solver_expansion_degrees(const expansion_rules *rules, size_t m, size_t panels);
+
 /* Returns the integrals for one medium and some boundaries, or NULL if memory runs out. The caller
  * frees them with solver_expansion_free(), which accepts NULL. boundaries: 1 to
  * EXPANSION_ETAS_MAX, with up to EXPANSION_CONES_MAX cones; what it points to has to outlive the

@@ -566,6 +566,17 @@ static double complex leave_like(double complex from, double complex k_from, dou
   return isinf(depth) ? 0 : from * ratio * ratio * fn_cexp(-depth * (k - k_from));
 }
 
+static expansion_rules rules_of(const struct grid *of, const struct solver_layers *all,
+                                const struct level *by, size_t tier) {
+  expansion_rules rules = solver_rules_at(by, tier, of->backward);
+  rules.degrees += all->sides > 1 && by >= &levels[MORE_FROM] ? MORE_DEGREES : 0;
+  if (tier + 1 == TIERS && by >= &levels[MORE_FROM] && has_indices(all)) {
+    rules.upright = UPRIGHT;
+    rules.degrees += UPRIGHT_DEGREES;
+  }
+  return rules;
+}
+
 /* Solves the wavenumbers that belong to one tier. values: [SIDES + 1][nodes], of which the last are
  * of the half space. */
 static bool solve_tier(const struct grid *of, const struct solver_layers *all, const core_isa *isa,
@@ -580,13 +591,8 @@ static bool solve_tier(const struct grid *of, const struct solver_layers *all, c
     fine_by++;
   }
   const expansion_boundaries boundary = {.count = 1, .etas = &of->layer[0].index};
-  expansion_rules rules = solver_rules_at(by, tier, of->backward);
+  const expansion_rules rules = rules_of(of, all, by, tier);
   const expansion_rules fine_rules = solver_rules_at(fine_by, tier, of->backward);
-  rules.degrees += all->sides > 1 && by >= &levels[MORE_FROM] ? MORE_DEGREES : 0;
-  if (tier + 1 == TIERS && by >= &levels[MORE_FROM] && has_indices(all)) {
-    rules.upright = UPRIGHT;
-    rules.degrees += UPRIGHT_DEGREES;
-  }
   stack *expanded = NULL;
   expansion *fine = NULL;
   double complex *like = values + SIDES * nodes;
@@ -631,10 +637,28 @@ static bool solve_tier(const struct grid *of, const struct solver_layers *all, c
   return ok;
 }
 
+/* Returns what solving a grid whose wavenumbers are placed takes: some 3e8 a second with AVX-512. */
+static double cost_of(const struct grid *of, const struct solver_layers *all,
+                      const struct level *by) {
+  double cost = 0;
+  for (size_t tier = 0, done = 0; tier < TIERS; tier++) {
+    const expansion_rules rules = rules_of(of, all, by, tier);
+    const size_t end = solver_exitance_end(all_wavenumbers(of), tier);
+    cost += (double)(end - done) * solver_stack_cost(&rules, of->layer, all->count, all->eta_below);
+    done = end;
+  }
+  return cost;
+}
+
+/* cost: the largest that a grid may have; infinite if this one has more. */
 static bool solve_grid(struct grid *to, const struct solver_layers *of, const core_isa *isa,
-                       const struct level *by, const atomic_bool *stop) {
+                       const struct level *by, double *cost, const atomic_bool *stop) {
   truncate_layers(to, of, by->moment_least, by->moments_most, by->tier[TIERS - 1].rules.degrees);
   if (!place_wavenumbers(to, of, isa, by, stop)) {
+    return false;
+  }
+  if (cost_of(to, of, by) > *cost) {
+    *cost = (double)INFINITY;
     return false;
   }
   enum { nodes = EXITANCE_PANELS_MAX * EXITANCE_NODES_MAX };
@@ -819,15 +843,24 @@ static solver_layers *new_solution(const solver_layer *layer, size_t count, doub
   return made;
 }
 
-/* Adds a finer grid; the one before stays beside it. */
-static bool add_grid(solver_layers *to, size_t level, const core_isa *isa,
+/* Adds a finer grid; the one before stays beside it. cost: that of solve_grid(). */
+static bool add_grid(solver_layers *to, size_t level, const core_isa *isa, double *cost,
                      const atomic_bool *stop) {
+  struct grid *made = calloc(1, sizeof *made);
+  if (made == NULL || !solve_grid(made, to, isa, &levels[level], cost, stop)) {
+    free(made);
+    return false;
+  }
   free(to->grid[1]);
   to->grid[1] = to->grid[0];
-  to->grid[0] = calloc(1, sizeof *to->grid[0]);
+  to->grid[0] = made;
   to->floor = levels[level].floor;
-  return to->grid[0] != NULL && solve_grid(to->grid[0], to, isa, &levels[level], stop);
+  return true;
 }
+
+/* The largest cost_of() that a grid may have, times the tolerance, but the COARSE ones. */
+#define COST_MOST 1e9
+enum { COARSE = 2 };
 
 /* Hands a solution over, or frees it where that was not found. */
 static core_fault solved_or_fault(solver_layers **solution, solver_layers *made, bool ok,
@@ -855,13 +888,21 @@ core_fault solver_layers_solve(solver_layers **solution, const core_isa *isa,
   for (size_t i = 0; i < count; i++) {
     depth += (layer[i].sigma_a_per_mm + layer[i].sigma_s_per_mm) * layer[i].thickness_mm;
   }
-  const size_t first = tolerance < 3e-3 || depth < THIN_FINE ? 2 : 0;
-  const size_t end = first == 0 || (made != NULL && has_indices(made)) ? GRIDS_MOST : LEVELS;
+  size_t first = tolerance < 3e-3 || depth < THIN_FINE ? COARSE : 0;
+  size_t end = first == 0 || (made != NULL && has_indices(made)) ? GRIDS_MOST : LEVELS;
   double worst[SIDES] = {INFINITY, INFINITY}, before[SIDES];
   bool hopes = true;
   for (size_t level = first; ok && hopes && level < end; level++) {
-    ok = add_grid(made, level, isa, stop);
-    if (ok && level > first) {
+    double cost = level < COARSE ? (double)INFINITY : COST_MOST / tolerance;
+    ok = add_grid(made, level, isa, &cost, stop);
+    if (!ok && level >= COARSE && isinf(cost)) {
+      /* Without two grids, those that are cheap are solved in their place. */
+      ok = true;
+      hopes = level < first + GRIDS;
+      end = COARSE;
+      first = 0;
+      level = SIZE_MAX; /* before 0 */
+    } else if (ok && level > first) {
       memcpy(before, worst, sizeof before);
       find_errors(made, worst, stop);
       ok = !solver_stops(stop);
@@ -888,8 +929,10 @@ core_fault solver_layers_solve_level(solver_layers **solution, const core_isa *i
   if (fault.field != NULL) {
     return fault;
   }
+  double cost = (double)INFINITY;
   solver_layers *made = new_solution(layer, count, eta_below);
-  return solved_or_fault(solution, made, made != NULL && add_grid(made, level, isa, stop), stop);
+  const bool ok = made != NULL && add_grid(made, level, isa, &cost, stop);
+  return solved_or_fault(solution, made, ok, stop);
 }
 
 void solver_layers_free(solver_layers *solution) {

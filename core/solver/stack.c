@@ -263,6 +263,21 @@ stack *solver_stack_new(const core_isa *isa, const expansion_rules *rules,
   return made;
 }
 
+double solver_stack_cost(const expansion_rules *rules, const stack_layer *layers, size_t count,
+                         double below) {
+  double edge[EXPANSION_PANELS_MAX - 1], cost = 0;
+  for (size_t i = 0; i < count; i++) {
+    const size_t panels =
+        1 + find_edges(layers, count, below, layers[i].index, rules->upright, edge);
+    double n = 0;
+    for (size_t m = 0; m <= rules->orders; m++) {
+      n += (double)(panels * solver_expansion_degrees(rules, m, panels));
+    }
+    cost += n * n * n;
+  }
+  return cost;
+}
+
 void solver_stack_free(stack *of) {
   for (size_t i = 0; of != NULL && i < of->count; i++) {
     solver_expansion_free(of->expanded[i]);

@@ -32,6 +32,10 @@ stack *solver_stack_new(const core_isa *isa, const expansion_rules *rules,
                         const atomic_bool *stop);
 void solver_stack_free(stack *of);
 
+/* Returns the sum of the cubes of the layers' numbers of functions: a wavenumber takes as long. */
+double solver_stack_cost(const expansion_rules *rules, const stack_layer *layers, size_t count,
+                         double below);
+
 /* What leaves a stack, Fourier transformed over the plane, per power that has entered. */
 typedef struct stack_exitance {
   /* Above and below. all: light that was scattered; once: that part of it that was scattered once,
