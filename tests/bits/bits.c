@@ -572,6 +572,7 @@ static void print_answers(const core_isa *isa) {
               {"dark", 29, 1, 1, {{4, 1, 0.2, 1.4}}, {CORE_PARAMETER_COS_IN}, {0.3}},
               {"white", 29, 1, 1, {{0, 9.5, 0.9, 1.4}}, {CORE_PARAMETER_COS_OUT}, {0.6}},
               {"solved", 29, 1, 1, {{0.3, 5, 0.6, 3}}, {OFF}, {0.5}},
+              {"black", 29, 1, 1, {{30, 2.5, 0.6, 2.5}}, {OFF}, {0.5}},
               {"slab", 29, 1, 1, {{0.05, 10, 0.8, 1.4, 2}}, {OFF, BELOW}, {0.5, 1.2}},
               {"slab below", 30, 2, 1, {{0.1, 2, -0.3, 1.4, 1}}, {OFF}, {0.5}},
               {"two", 29, 1, 2, {{1, 2, .2, 1.1, 1}, {2, .5, 0, 1}}, {OFF, LAYER}, {.5, 2}},
@@ -596,11 +597,11 @@ static void print_answers(const core_isa *isa) {
                                                   rows[i].evaluator, rows[i].layer, &parameters);
     assert(fault.field == NULL);
     sum = add_preparation(sum, &profile);
-    if (i < 6) {
-      double diffuse, error;
+    if (i < 8) {
+      double diffuse[2]; /* and its error */
       core_albedo(isa, rows[i].model, CORE_MOMENTS_EXACT, CORE_LIGHT_DIFFUSE, rows[i].layer,
-                  &diffuse, &error);
-      sum = add_numbers(sum, &diffuse, sizeof diffuse);
+                  &diffuse[0], &diffuse[1]);
+      sum = add_numbers(sum, diffuse, sizeof diffuse);
     }
     for (const core_choice *quantity = core_quantities; quantity->name != NULL; quantity++) {
       if ((quantity->id & CORE_ARRAYS & ~(unsigned)CORE_QUANTITY_MODEL_ERRORS) != 0 &&

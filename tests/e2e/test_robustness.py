@@ -327,10 +327,13 @@ def test_each_allocation_may_fail(daemon, way):
     """Whichever allocation a request makes fails: the client gets the usual answer or BUSY, but if it is
     of the connection, then the usual answer again, and Daemon.close() finds that nothing is lost."""
     one = daemon("--cache-bytes", "0", "--http", ANY, "--modbus", f"tcp:{ANY}", "--scpi", ANY, counting=True)
+    descriptors = lambda: len(os.listdir(f"/proc/{one.process.pid}/fd"))
     ask, requests = ASKED[way]
-    for request in requests:
+    known = [ask(one, request) for request in requests]
+    before = descriptors()
+    for request, usual in zip(requests, known):
         number, step = (100, 2000) if request == "fit_layers" else (1, 1)
-        usual, waits, unconnected = ask(one, request), False, 0
+        waits, unconnected = False, 0
         while not waits:
             one.fail_allocation(number)
             try:
@@ -340,6 +343,7 @@ def test_each_allocation_may_fail(daemon, way):
             waits = one.fail_allocation(0)
             number += step
         assert ask(one, request) == usual and unconnected <= 1 + (way == "binary" or request == "gather")
+    assert eventually(lambda: descriptors() <= before)  # when the last client may not have left yet
 
 
 # ---- wake-ups ------------------------------------------------------------------------------------
