@@ -2,6 +2,7 @@
 is bounded. test_batches.py shows that answers do not depend on it."""
 
 import resource
+import signal
 import socket
 
 import pytest
@@ -127,8 +128,10 @@ def test_a_thousand_clients_cause_one_build(daemon, connections, workers):
     counted = Counted(one)
     clients = connections(one, CLIENTS)
     request = frame(EVAL, 77, slow())
+    one.pause()  # so that it reads them all at once
     for client in clients:
         client.send_bytes(request)
+    one.process.send_signal(signal.SIGCONT)
     for client in clients:
         assert client.receive_frame() == expected
     assert counted["builds"] == 1
