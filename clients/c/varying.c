@@ -7,8 +7,7 @@
 #include <string.h>
 
 #include "clients/c/error.h"
-#include "clients/c/query.h"
-#include "clients/c/request.h"
+#include "clients/c/message.h"
 #include "clients/c/table.h"
 
 /* ---- parts --------------------------------------------------------------------------------- */
@@ -39,66 +38,37 @@ static const libdipole_kind kind = {
 
 /* ---- requests ------------------------------------------------------------------------------ */
 
-static bool check(const dipole_varying_query *query, dipole_error *error) {
-  const bool coloured = query->colours != NULL || query->lengths_mm != NULL;
-  const void *first = coloured ? query->colours : query->sigma_a_per_mm;
-  const void *second = coloured ? query->lengths_mm : query->sigma_s_per_mm;
-  if (!libdipole_query_check(query->model,
-                             query->evaluator | query->moments | query->wanted |
-                                 query->coefficients | query->given | query->light,
-                             query->parameters, query->parameter_count, error)) {
-    return false;
-  }
-  if (query->evaluator != DIPOLE_F64 && query->evaluator != DIPOLE_F32) {
-    return libdipole_fail_argument(error, "evaluator is neither DIPOLE_F64 nor DIPOLE_F32");
-  }
-  if ((first == NULL || second == NULL) && query->value_count > 0) {
-    return libdipole_fail_argument(error,
-                                   "sigma_a_per_mm and sigma_s_per_mm, or colours and lengths_mm, "
-                                   "are NULL although value_count is not 0");
-  }
-  if (coloured && (query->sigma_a_per_mm != NULL || query->sigma_s_per_mm != NULL)) {
-    return libdipole_fail_argument(error, "both coefficients and colours are given");
-  }
-  if (coloured != (query->given != 0)) {
+static bool make_request(const dipole_varying_query *query, libdipole_made *made,
+                         dipole_error *error) {
+  const uint64_t count = query->value_count, coloured = query->given != 0 ? count : 0;
+  const dipole_field fields[] = {
+      {"model", .number = query->model},
+      {"evaluator", .number = query->evaluator},
+      {"moments", .number = query->moments},
+      {"coefficients", .number = query->coefficients},
+      {"given", .number = query->given},
+      {"light", .number = query->light},
+      {"specular", .number = query->specular},
+      {"numbers", .number = query->radii != NULL     ? VARYING_RADII
+                            : query->numbers != NULL ? VARYING_DRAWN
+                                                     : VARYING_NONE},
+      {"wanted", .number = query->wanted},
+      {"g", .number = query->g},
+      {"eta", .number = query->eta},
+      {"parameter", .elements = query->parameters, .count = query->parameter_count},
+      {"sigma_a", .elements = query->sigma_a_per_mm, .count = count - coloured},
+      {"colour", .elements = query->colours, .count = coloured},
+      {"sigma_s", .elements = query->sigma_s_per_mm, .count = count - coloured},
+      {"length", .elements = query->lengths_mm, .count = coloured},
+      LIBDIPOLE_OR_ZEROS("r", query->radii, count),
+      LIBDIPOLE_OR_ZEROS("u", query->numbers, count)};
+  const bool colours = query->colours != NULL || query->lengths_mm != NULL;
+  const bool coefficients = query->sigma_a_per_mm != NULL || query->sigma_s_per_mm != NULL;
+  if (query->given != 0 ? coefficients : colours) {
     return libdipole_fail_argument(error, "given has to be set with colours, and 0 without them");
   }
-  if (query->radii != NULL && query->numbers != NULL) {
-    return libdipole_fail_argument(error, "both radii and numbers are given");
-  }
-  if (query->value_count > UINT32_MAX / (2 * sizeof(float))) {
-    return libdipole_fail(error, DIPOLE_ERROR_ARGUMENT,
-                          "%llu values are more than a frame holds: request fewer at a time",
-                          (unsigned long long)query->value_count);
-  }
-  return true;
+  return libdipole_make(made, &schema_varying_request, fields, LIBDIPOLE_COUNT(fields), error);
 }
-
-static wire_varying_request request_of(const dipole_varying_query *query) {
-  return (wire_varying_request){.model = (uint16_t)query->model,
-                                .evaluator = (uint16_t)query->evaluator,
-                                .moments = (uint16_t)query->moments,
-                                .wanted = query->wanted,
-                                .coefficients = (uint16_t)query->coefficients,
-                                .given = (uint16_t)query->given,
-                                .light = (uint16_t)query->light,
-                                .specular = query->specular,
-                                .numbers = query->radii != NULL     ? VARYING_RADII
-                                           : query->numbers != NULL ? VARYING_DRAWN
-                                                                    : VARYING_NONE,
-                                .parameter_count = (uint32_t)query->parameter_count,
-                                .value_count = query->value_count,
-                                .g = query->g,
-                                .eta = query->eta};
-}
-
-/* The parts of a request: those that are not there have no values. */
-enum { PARTS = 7 };
-#define PARTS_OF(query)                                                                            \
-  {                                                                                                \
-    (query)->parameters, (query)->sigma_a_per_mm, (query)->colours, (query)->sigma_s_per_mm,       \
-        (query)->lengths_mm, (query)->radii, (query)->numbers                                      \
-  }
 
 /* Makes a result of a frame that holds a whole reply. */
 static bool make_result(libdipole_frame *frame, dipole_varying_result **result) {
@@ -125,8 +95,9 @@ static bool make_result(libdipole_frame *frame, dipole_varying_result **result) 
 
 bool dipole_varying(dipole_client *client, const dipole_varying_query *query,
                     dipole_varying_result **result, dipole_error *error) {
+  libdipole_made made;
   error = error != NULL ? error : &(dipole_error){0};
-  if (!check(query, error)) {
+  if (!make_request(query, &made, error)) {
     return false;
   }
   const wire_varying_reply most = {.evaluator = (uint16_t)query->evaluator,
@@ -143,10 +114,8 @@ bool dipole_varying(dipole_client *client, const dipole_varying_query *query,
                                .moments = (uint16_t)query->moments,
                                .medium_count = query->coefficients,
                                .radius_count = query->value_count};
-  const wire_varying_request fixed = request_of(query);
-  const void *const parts[PARTS] = PARTS_OF(query);
   libdipole_frame *frame =
-      libdipole_ask(client, &pending, &schema_varying_request, &fixed, parts, &shape, error);
+      libdipole_ask(client, &pending, made.payload, made.start, made.parts, &shape, error);
   return frame != NULL && make_result(frame, result);
 }
 
@@ -218,19 +187,18 @@ static libdipole_frame *reply_at_home(const dipole_surface *surface, const uint8
 
 bool dipole_varying_at_home(const dipole_surface *surface, const dipole_varying_query *query,
                             dipole_varying_result **result, dipole_error *error) {
+  libdipole_made made;
+  schema_layout layout;
   error = error != NULL ? error : &(dipole_error){0};
-  if (!check(query, error)) {
+  if (!make_request(query, &made, error)) {
     return false;
   }
-  const wire_varying_request fixed = request_of(query);
-  const void *const parts[PARTS] = PARTS_OF(query);
-  schema_layout layout = {.payload_bytes = UINT64_MAX};
-  schema_lay_out(&schema_varying_request, &fixed, UINT64_MAX, &layout, NULL);
+  schema_lay_out(made.payload, made.start, UINT64_MAX, &layout, NULL);
   uint8_t *payload = malloc((size_t)layout.payload_bytes);
   if (payload == NULL) {
     return libdipole_fail_memory(error);
   }
-  libdipole_payload_put(payload, &schema_varying_request, &layout, &fixed, parts);
+  libdipole_payload_put(payload, made.payload, &layout, made.start, made.parts);
   libdipole_frame *frame = reply_at_home(surface, payload, (size_t)layout.payload_bytes, error);
   free(payload);
   return frame != NULL && make_result(frame, result);

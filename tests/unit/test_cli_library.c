@@ -427,18 +427,17 @@ UNIT_TEST(test_arguments) {
   dipole_varying_result *varied;
   dipole_varying_query varying = {.model = 2,
                                   .evaluator = DIPOLE_F64,
+                                  .moments = DIPOLE_EXACT,
                                   .sigma_a_per_mm = radii,
                                   .sigma_s_per_mm = radii,
-                                  .lengths_mm = radii,
                                   .radii = radii,
                                   .value_count = 3};
 #define VARYING(field, value, why)                                                                 \
   REFUSED(varying, dipole_varying(client, &wrong, &varied, &error), field, value, why)
-  VARYING(wanted, 65536, IDS);
-  VARYING(colours, radii, "both coefficients and colours are given");
-  VARYING(sigma_s_per_mm, NULL,
-          "sigma_a_per_mm and sigma_s_per_mm, or colours and lengths_mm, are NULL although "
-          "value_count is not 0");
+  VARYING(coefficients, 65536, "coefficients is a whole number from 0 to 65535");
+  VARYING(colours, radii, "given has to be set with colours, and 0 without them");
+  VARYING(sigma_s_per_mm, NULL, "sigma_s is NULL although its count is not 0");
+  VARYING(numbers, radii, COUNTS);
 
   check_simple_result(peer_eval(client, &simple_query)); /* The client sent none of the above. */
   peer_finish(client);

@@ -157,16 +157,8 @@ async def offers(
         if fixed.taken > fixed.count:
             raise ProtocolError("an offers reply that takes what it does not offer")
         listed = tuple(
-            Offer(
-                model=name_of(info, "model", int(entry["model"])),
-                evaluator=name_of(info, "evaluator", int(entry["evaluator"])),
-                meets=bool(entry["meets"]),
-                error=float(entry["error"]),
-                numerical_error=float(entry["numerical_error"]),
-                cost_ns=float(entry["cost"]),
-                prepare_ns=float(entry["prepare_cost"]),
-            )
-            for entry in parts["offers"]
+            Offer(name_of(info, "model", model), name_of(info, "evaluator", evaluator), bool(meets), *rest)
+            for model, evaluator, meets, *rest in parts["offers"].tolist()
         )
         return Offers(listed, listed[fixed.taken] if fixed.taken < fixed.count else None)
 

@@ -18,16 +18,6 @@ from .values import Array, Info, Medium, shows
 _QUANTITIES = {name: wire.QUANTITIES[name] for name in ("R", "albedo", "cdf", "pdf", "2_pi_r_R", "S")}
 
 
-class _Errors(ctypes.Structure):
-    """struct dipole_errors of clients/c/dipole.h."""
-
-    _fields_ = (
-        ("numerical_error", ctypes.c_double),
-        ("numerical_error_per_mm", ctypes.c_double),
-        ("model_error", ctypes.c_double),
-    )
-
-
 class TableErrors(NamedTuple):
     """The relative errors of values of a table, for the radii of one call."""
 
@@ -140,13 +130,11 @@ class Table(Fetched):
         return self._errors(_floats(r), sum({_QUANTITIES[name] for name in names}))
 
     def _errors(self, radii: Array, wanted: int) -> TableErrors:
-        errors = _Errors()
-        arguments = (wanted, ctypes.c_size_t(radii.size), address(radii), ctypes.byref(errors))
+        errors = (ctypes.c_double * 3)()  # struct dipole_errors of clients/c/dipole.h
+        arguments = (wanted, ctypes.c_size_t(radii.size), address(radii), errors)
         if not succeeds(library().dipole_table_errors, self._handle, *arguments):
             raise self._outside()
-        return TableErrors(
-            errors.numerical_error, errors.numerical_error_per_mm, errors.model_error
-        )
+        return TableErrors(*errors)
 
     def numerical_error(self, r: Any) -> Array:
         """Returns how far R at r (mm) may be from the model's exact formula, relative. That of the

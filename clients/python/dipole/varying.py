@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from . import wire
-from .arguments import id_of, ids_of, names_of_ids, parameters_of
+from .arguments import id_of, ids_of, names_of, names_of_ids, parameters_of
 from .session import Session
 from .errors import ArgumentError, naming
 from .exchange import Joined, pieces, together
@@ -21,12 +21,7 @@ _WANTED = {wire.VARYING_NONE: (), wire.VARYING_RADII: ("R",), wire.VARYING_DRAWN
 
 def _bits(info: Info, kind: str, names: str | Iterable[str]) -> dict[int, str]:
     """Returns the names by bit, in the order of the bits."""
-    try:
-        listed = (names,) if isinstance(names, str) else tuple(names)
-    except TypeError as error:
-        raise ArgumentError(f"{kind}: names, or one name: {error}") from error
-    found = {id_of(info, kind, name): name for name in listed}
-    return dict(sorted(found.items()))
+    return dict(sorted((id_of(info, kind, name), name) for name in names_of(names, ())))
 
 
 def _given(
