@@ -48,7 +48,7 @@ pytest_count() { # PART WORD
 # Runs a failed test again; its name is that of a line FAILED of the part's log.
 run_again() { # PART NAME
   case $1 in
-  unit) timeout 600 "${logs%/*}/tests/$2" ;;
+  unit | stacks) timeout 600 "${logs%/*}/tests/$2" ;;
   units-long) UNIT_LONG=yes timeout 600 "${logs%/*}/tests/$2" ;;
   *) TEST=$2 make --no-print-directory check-again ;;
   esac >>"$logs/again.log" 2>&1 </dev/null
@@ -57,7 +57,7 @@ run_again() { # PART NAME
 # Whether all tests that failed in a part pass when each runs alone. Writes those to LOGS/flaky.
 all_are_flaky() { # PART
   local names name behind
-  case $1 in e2e | services) behind=' - ' ;; unit | units-long) behind=': ' ;; *) return 1 ;; esac
+  case $1 in e2e | services) behind=' - ' ;; unit | units-long | stacks) behind=': ' ;; *) return 1 ;; esac
   names=$(grep -E '^(FAILED|ERROR) ' "$logs/$1.log" | sed -E "s/^[A-Z]+ +//; s/$behind.*//" | sort -u)
   [ -n "$names" ] && [ "$(wc -l <<<"$names")" -le 10 ] || return 1
   while read -r name; do
@@ -94,7 +94,7 @@ for part in $parts; do
   note_run "$part" "$seconds" "$status"
   [ "$status" -eq 0 ] || bad="$bad $part"
   case $part in
-  unit | units-long)
+  unit | units-long | stacks)
     one=$(cat "$logs"/unit-*.log "$logs"/accuracy-*.log |
       awk '$2 == "PASSED" { n += $4 } END { print n + 0 }')
     passed=$((passed + one))

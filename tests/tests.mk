@@ -74,7 +74,7 @@ $(BUILD)/prometheus:
 
 # ---- what `make check` runs, and longer forms ------------------------------------------------------
 
-.PHONY: check-programs check-nightly check-ci check-structure check-types check-unit check-units-long check-bits \
+.PHONY: check-programs check-nightly check-ci check-structure check-types check-unit check-stacks check-units-long check-bits \
 	check-bits-aarch64 check-e2e check-again check-packages check-soak check-soak-long check-tls-long \
 	check-services check-balancer-long check-blender check-figures check-plan plan scaling farm-day check-pipeline check-asan check-tsan check-fuzz \
 	check-fuzz-long check-truth check-truth-long check-fits check-varying check-rings rings soak truth \
@@ -83,8 +83,8 @@ $(BUILD)/prometheus:
 check-programs: $(filter-out %/fuzz,$(PROGRAMS)) $(BUILD)/wire-lists ## every program compiles, but for the fuzzer
 
 # What .ci/run runs after `make check`, and what else takes long. `make check-PART` runs one of them.
-CI_PARTS := bits-aarch64 pipeline soak-long services+fuzz packages deb
-NIGHTLY_PARTS := $(CI_PARTS) tls-long balancer-long+rings,truth-long plan figures fits+varying units-long fuzz-long blender
+CI_PARTS := bits-aarch64 pipeline soak-long services+fuzz stacks packages deb
+NIGHTLY_PARTS := $(filter-out stacks,$(CI_PARTS)) tls-long balancer-long+rings,truth-long plan figures fits+varying units-long fuzz-long blender
 check-ci: PARTS ?= $(CI_PARTS)
 check-nightly: PARTS ?= $(NIGHTLY_PARTS)
 check-ci: ## packages in a new system, aarch64, long loads
@@ -102,8 +102,14 @@ check-types: ## types of the Python module and of the examples in Python
 	@MYPYPATH=clients/python:clients/modbus $(PYTHON) -m mypy --strict --enable-incomplete-feature=Unpack --cache-dir $(BUILD)/mypy clients/python/dipole clients/python/examples clients/modbus
 
 # Each test program by itself, so that one that crashes takes no other with it.
-check-unit: $(TESTS) ## tests in C
-	@UNIT_LIMIT_S=$(UNIT_LIMIT_S) bash tests/run-units.sh $(BUILD)/logs $(TESTS)
+# Two solve stacks for a minute; tests/bits and the campaign of `make truth` have stacks, too.
+STACKS := $(if $(SANITIZE),,$(addprefix $(BUILD)/tests/accuracy/test_,layers fit_layers))
+SHORT_TESTS := $(filter-out $(STACKS),$(TESTS))
+check-unit: $(SHORT_TESTS) ## tests in C
+	@UNIT_LIMIT_S=$(UNIT_LIMIT_S) bash tests/run-units.sh $(BUILD)/logs $(SHORT_TESTS)
+
+check-stacks: $(STACKS)
+	@bash tests/run-units.sh $(BUILD)/logs-nightly $(STACKS)
 
 # Those that have a long form, and what looks for lost memory in its long form alone.
 LONG_TESTS := $(patsubst tests/%.c,$(BUILD)/tests/%,$(wildcard tests/accuracy/test_*.c) $(shell grep -l unit_is_long tests/unit/test_*.c))
