@@ -11,14 +11,13 @@
 static bool merge_part(const libdipole_pending *pending, const void *part, void *whole) {
   const wire_invert_reply *fixed = part;
   wire_invert_reply *all = whole;
-  (void)pending;
   if (all != NULL) {
     all->missing_count += fixed->missing_count;
   }
   return fixed->missing_count <= fixed->count && fixed->errors == 2 &&
+         fixed->given == pending->wanted &&
          (all == NULL ||
           (fixed->model == all->model && fixed->moments == all->moments &&
-           fixed->given == all->given &&
            memcmp(&fixed->albedo_least, &all->albedo_least, 2 * sizeof(double)) == 0));
 }
 
@@ -44,6 +43,7 @@ bool dipole_invert(dipole_client *client, const dipole_invert_query *query,
   libdipole_pending pending = {.kind = &kind,
                                .type = WIRE_TYPE_INVERT,
                                .deadline_ms = query->deadline_ms,
+                               .wanted = query->given,
                                .radius_count = query->medium_count};
   libdipole_made made;
   libdipole_frame *frame = NULL;

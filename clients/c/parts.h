@@ -81,7 +81,7 @@ struct libdipole_pending {
   uint64_t reply_bytes_min, reply_bytes_max; /* range of a frame's payload */
   unsigned model;                            /* eval and sample; may be DIPOLE_ANY_MODEL */
   uint16_t evaluator;                        /* eval and sample */
-  uint32_t wanted;                           /* likewise */
+  uint32_t wanted;                           /* likewise; invert: the kind of lengths */
   uint16_t moments;                          /* varying */
   uint16_t layer_count;                      /* layers of each medium; 0 means 1 */
   uint32_t medium_count; /* eval, sample: number of media; fit: residuals of each set; else 0 */

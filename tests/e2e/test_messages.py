@@ -2,7 +2,9 @@
 answers in parts, peers that lie, cancelling, asking again, leaving, deadlines and others' requests.
 messages.py has what a message brings, wrong.txt the values that are refused."""
 
+import ctypes
 import dataclasses
+import itertools
 import math
 import re
 import select
@@ -24,7 +26,7 @@ from frames import (  # noqa: F401  (wrong.txt takes some)
     gather_payload, head_bytes, header, invert_payload, mc_payload, parameters_bytes, points_payload,
     sample_payload, statistics, table_payload, varying_payload,
 )
-from lists import MODELS, MOMENTS, PARAMETERS, QUANTITIES, choices
+from lists import EVALUATORS, MODELS, MOMENTS, PARAMETERS, QUANTITIES, choices
 from messages import (
     CALLS, COMMANDS, FILES, LONG, MC, PARTED, PARTED_CALLS, POINTS_SENT, SAMPLES, SMALL, STREAMED, assert_same, call, receive_answer,
     refusal, reply_structure, send_points,
@@ -478,6 +480,8 @@ def lies_about(message: str) -> dict[str, Callable[[int, bytes], list[bytes]]]:
         lies["another albedo later"] = lambda number, payload: [
             payload if number == 0 else payload[: structure.bytes] + b"\x01" + payload[structure.bytes + 1 :]
         ]
+    if message == "invert":
+        lies["another reach later"] = changed("albedo_most", 1)
     if message in STREAMED:
         lies["the first is lost"] = lambda number, payload: [payload] if number else []
         lies["the first twice"] = lambda number, payload: [payload] * (2 if number == 0 else 1)
@@ -502,7 +506,7 @@ def refuses(daemon, message: str, lie, ask: Callable[[str], Any]) -> bool:
             ask(proxy.url)
         except (dipole.ProtocolError, dipole.TableError):
             return True
-        except AssertionError as fault:  # of a command that fails
+        except (AssertionError, dipole.ArgumentError) as fault:  # of a command that fails, or of libdipole
             return re.search("peer does not speak this protocol|daemon speaks .* this library only", str(fault)) is not None
     return False
 
@@ -526,8 +530,54 @@ def files(tmp_path_factory) -> Path:
     return folder
 
 
-def written(message: str, url: str, files: Path) -> list[bytes | str]:
+def structure(*fields: tuple[str, Any]) -> type[ctypes.Structure]:
+    return type("Fields", (ctypes.Structure,), {"_fields_": [(one, kind) for names, kind in fields for one in names.split()]})
+
+
+# As clients/c/dipole.h has them. The arrays of an inversion are those of dipole.Inversion.
+DOUBLES = ctypes.POINTER(ctypes.c_double)
+INVERT_QUERY = structure(
+    ("model moments given light", ctypes.c_uint), ("specular", ctypes.c_bool), ("g eta", ctypes.c_double),
+    ("albedos lengths_mm", ctypes.c_void_p), ("medium_count", ctypes.c_uint64), ("deadline_ms", ctypes.c_uint),
+)
+INVERSION = structure(
+    ("medium_count missing", ctypes.c_uint64), ("sigma_a sigma_s albedo", DOUBLES),
+    ("albedo_least albedo_most", ctypes.c_double), ("sigma_a_error sigma_s_error model_error", DOUBLES),
+)
+TO_INVERT, LENGTHS = np.tile(np.linspace(0.002, 1, 1667), 2), np.ones(3334)  # no path diffuses with albedo 1
+
+
+def inverted(url: str) -> dict[str, Any]:
+    """What libdipole's dipole_invert() finds for colours, of which commands ask for one at a time."""
+    calls, client, found = dipole.library.library(), ctypes.c_void_p(), ctypes.POINTER(INVERSION)()
+    places = TO_INVERT.ctypes.data, LENGTHS.ctypes.data
+    query = INVERT_QUERY(BETTER, 1, 2, 0, False, 0.5, 1.4, *places, len(TO_INVERT), 0)
+    dipole.library.call(calls.dipole_open, url.encode(), ctypes.byref(client))
+    try:
+        calls.dipole_set_retry_ms(client, 0)
+        dipole.library.call(calls.dipole_invert, client, ctypes.byref(query), ctypes.byref(found))
+        values = {name: getattr(found.contents, name) for name, _ in INVERSION._fields_}
+        return {
+            name: np.ctypeslib.as_array(one, TO_INVERT.shape).copy() if isinstance(one, DOUBLES) else one
+            for name, one in values.items()
+        }
+    finally:
+        calls.dipole_inversion_free(found)
+        calls.dipole_close(client)
+
+
+def test_libdipole_puts_inversions_together(small):
+    with small.client() as client:
+        expected = vars(client.invert("better", TO_INVERT, LENGTHS, g=0.5, eta=1.4, given="diffuse-mean-free-path"))
+    found = inverted(small.url())
+    assert found.pop("medium_count") == len(TO_INVERT) and found["missing"] == 2
+    assert_same(found, {name: expected[name] for name in found})
+
+
+def written(message: str, url: str, files: Path) -> Any:
     """Runs the command of a message. Returns what it prints, and the files that it writes."""
+    if message == "invert":
+        return inverted(url)
     how = ("--connect", url, "--retry-ms", "0", "--timeout-ms", "60000")
     printed = command_line.dipole(*COMMANDS[message], *how, cwd=files, usual=True).stdout
     return [printed, *(files.joinpath(one).read_bytes() for one in sorted(files.glob("media.*.pfm")))]
@@ -547,7 +597,7 @@ OF_ITSELF = {"state", "worst_side", "worst_albedo", "number", "photons", "photon
              "version_min", "version_max", "status", "evaluations"}  # fmt: skip
 
 
-@pytest.mark.parametrize("message", COMMANDS)
+@pytest.mark.parametrize("message", [*COMMANDS, "invert"])
 def test_libdipole_takes_no_other_answer(small, files, message):
     taken = [
         name
@@ -556,6 +606,25 @@ def test_libdipole_takes_no_other_answer(small, files, message):
         and not refuses(small, message, lie, lambda url: written(message, url, files))
     ]
     assert taken == []
+
+
+@pytest.mark.parametrize("model", ["--model=better", "--tolerance=0.02"])
+def test_libdipole_takes_an_evaluator_of_the_type(small, model):
+    """If the daemon chooses the model; else it takes the evaluator that it asked for."""
+    for asked, taken in itertools.product(EVALUATORS, [*EVALUATORS.values(), 1 + max(EVALUATORS.values())]):
+
+        def lie(number: int, payload: bytes) -> list[bytes]:
+            fixed = wire.EVAL_REPLY.unpack(payload)._asdict() | {"evaluator": taken}
+            return [wire.EVAL_REPLY.pack(**fixed) + payload[wire.EVAL_REPLY.bytes :]]
+
+        def evaluate(url: str) -> None:
+            how = ("--connect", url, "--retry-ms", "0", "--evaluator", asked)
+            done.append(command_line.dipole("eval", "--medium", "skin1", "--r", "1", model, *how))
+
+        done: list[Any] = []
+        same_type = {asked, *(("f32", "lut") if "tolerance" in model and asked != "f64" else ())}
+        is_right = taken in [EVALUATORS[name] for name in same_type]
+        assert (refuses(small, "eval", lie, evaluate), len(done)) == (not is_right, is_right), (asked, taken)
 
 
 # ---- cancelling, asking again, leaving -----------------------------------------------------------
