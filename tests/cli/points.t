@@ -224,3 +224,12 @@ $ awk 'BEGIN { print "sigma_a,sigma_s,g,eta,r"; for (i = 0; i < 258; i++) print 
 0.0356,1,.1,1.4,1,0.015780067,2.998480261549287e-4,0,ok
 0.0357,1,.1,1.4,1,0.015771737,2.998480261549287e-4,0,ok
 transport,1,0.0357,1,0.1,1.4,1,0.015771745,3.2203793702233907e-4,0,lut,
+
+## The longest row has 1 MiB. Rows before one that is longer come out.
+$ for longer in 0 1; do (printf 'note,sigma_a,sigma_s,g,eta,r\n-,0.01,1,0,1.4,2\n'; head -c $((1048576 - 16 + longer)) /dev/zero | tr '\0' x; printf ',0.01,1,0,1.4,2\n') | dipole points --model better | tr -s x; done
+note,sigma_a,sigma_s,g,eta,r,R,albedo,cdf,status
+-,0.01,1,0,1.4,2,0.008922392411638412,0.605952712135344,0.37076385200174106,ok
+x,0.01,1,0,1.4,2,0.008922392411638412,0.605952712135344,0.37076385200174106,ok
+note,sigma_a,sigma_s,g,eta,r,R,albedo,cdf,status
+-,0.01,1,0,1.4,2,0.008922392411638412,0.605952712135344,0.37076385200174106,ok
+! dipole points: standard input: line 3: the row is longer than 1 MiB

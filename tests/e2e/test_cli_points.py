@@ -17,25 +17,6 @@ HEADER = "sigma_a,sigma_s,g,eta,r"
 ROW = "0.01,1,0,1.4,2"
 
 
-# ---- bad files -----------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("excess", [0, 1])
-def test_the_longest_line(excess):
-    note = "x" * (2**20 - len(f",{ROW}\n") + excess)
-    run = dipole(
-        *["points"],
-        stdin=f"note,{HEADER}\n-,{ROW}\n{note},{ROW}\n",
-        status=FAILED if excess else 0,
-    )
-    if excess:
-        assert "line 3: the row is longer than 1 MiB" in run.stderr
-        assert len(run.stdout.splitlines()) == 2
-    else:
-        assert len(run.stdout.splitlines()) == 3
-        assert len(run.stdout) > 2**20 and run.stdout.endswith(",ok\n")
-
-
 # ---- many rows -----------------------------------------------------------------------------------
 
 

@@ -63,6 +63,8 @@ def test_request_beyond_the_largest_size(small_frames, radii):
     payload = eval_payload(radii=[1.0] * radii, wanted=R)
     reply = ask(small_frames, EVAL, payload)
     assert_error(reply, "too-large", "payload_bytes", "at most 4096")
+    small_frames.send_bytes(header(version=9, payload_bytes=len(payload)) + payload)
+    assert_error(small_frames.receive_frame(), "bad-version", "version", "2", request_id=1)
     assert_serves(small_frames)
 
 

@@ -67,16 +67,6 @@ def test_a_query_object_is_the_same_as_its_arguments(client):
         client.eval("better", THREE, [1.0], Grid(0.0, 2.0, 9))
 
 
-@pytest.mark.parametrize("count", [1, 2, 3])
-def test_padded_arrays_are_cut_to_size(client, count):
-    r = np.arange(count, dtype=np.float32)
-    result = client.eval("better", THREE, r, evaluator="f32", wanted=["R", "cdf", "r"])
-    one_by_one = [client.eval("better", THREE, [x], evaluator="f32") for x in r]
-    np.testing.assert_array_equal(result.R, np.hstack([one.R for one in one_by_one]))
-    np.testing.assert_array_equal(result.cdf, np.hstack([one.cdf for one in one_by_one]))
-    np.testing.assert_array_equal(result.r, r)
-
-
 def test_media_may_be_given_in_many_ways(client):
     expected = client.eval("better", [SKIN, SKIN], [1.0]).R
     for media in ([Medium(*SKIN)] * 2, np.array([SKIN, SKIN]), (SKIN, SKIN), iter([SKIN, SKIN])):

@@ -10,7 +10,7 @@ import subprocess
 import pytest
 from certificates import Authority
 from daemons import END_S, PROGRAM, environment, eventually, read_log_line
-from dipole import Client, ConnectError, Connection, ConnectionLost, wire
+from dipole import Client, ConnectError, Connection, ConnectionLost, Frame, wire
 from frames import EVAL, PING, ask, assert_closed, assert_error, assert_serves, eval_payload, frame, statistics
 from test_metrics import fetch
 
@@ -27,26 +27,6 @@ def refused(url: str) -> bool:
         return True
 
 
-@pytest.mark.parametrize("scheme, how", [("unix", signal.SIGTERM), ("tcp", signal.SIGHUP)])
-def test_requests_in_flight_are_answered(daemon, scheme, how):
-    one = daemon()
-    with one.connect(scheme) as connection:
-        expected = ask(connection, EVAL, LARGE).payload
-        connection.send_bytes(b"".join(frame(EVAL, i, LARGE) for i in range(100, 130)))
-        replies = [connection.receive_frame()]  # After the first reply, all requests have arrived.
-        one.terminate(how)
-        replies += [connection.receive_frame() for _ in range(29)]
-        assert [reply.request_id for reply in replies] == list(range(100, 130))
-        assert all(reply.type == EVAL | wire.REPLY for reply in replies)
-        assert all(reply.payload == expected for reply in replies)
-        last = connection.receive_frame()
-        assert_error(last, "shutting-down", "daemon", "another one", request_id=0)
-        assert_closed(connection)
-    assert one.wait() == 0
-    assert any(f"event=stopping reason={how.name}" in line for line in one.log)
-    assert one.log[-1].endswith("event=stopped")
-
-
 def test_every_connection_is_told(daemon):
     one = daemon()
     connections = [one.connect(scheme) for scheme in ("unix", "tcp") * 5]
@@ -61,17 +41,24 @@ def test_every_connection_is_told(daemon):
     assert refused(one.url("unix")) and refused(one.url("tcp"))
 
 
-def test_nobody_new_is_served(daemon):
+@pytest.mark.parametrize("scheme, how", [("unix", signal.SIGTERM), ("tcp", signal.SIGHUP)])
+def test_requests_in_flight_are_answered_and_nobody_new(daemon, scheme, how):
     """A client has not yet read its answers, so the daemon is still running."""
     one = daemon("--drain-timeout-ms", "5000")
-    with one.connect() as slow:
-        slow.send_bytes(frame(EVAL, 1, LARGE) * 10)
-        first = slow.receive_frame()
-        one.terminate()
+    with one.connect(scheme) as slow:
+        expected = ask(slow, EVAL, LARGE).payload
+        slow.send_bytes(b"".join(frame(EVAL, i, LARGE) for i in range(30)))
+        replies = [slow.receive_frame()]  # After the first reply, all requests have arrived.
+        one.terminate(how)
         assert eventually(lambda: refused(one.url("tcp")) and refused(one.url("unix")))
         assert one.process.poll() is None
-        assert [slow.receive_frame() for _ in range(9)] == [first] * 9
+        replies += [slow.receive_frame() for _ in range(29)]
+        assert replies == [Frame(EVAL | wire.REPLY, i, expected) for i in range(30)]
+        assert_error(slow.receive_frame(), "shutting-down", "daemon", "another one", request_id=0)
+        assert_closed(slow)
     assert one.wait() == 0
+    assert any(f"event=stopping reason={how.name}" in line for line in one.log)
+    assert one.log[-1].endswith("event=stopped")
 
 
 def test_a_partial_frame_does_not_hold_it_up(daemon):

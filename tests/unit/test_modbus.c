@@ -9,55 +9,6 @@
 
 /* ---- requests ----------------------------------------------------------------------------- */
 
-UNIT_TEST(requests_are_taken_apart) {
-  const uint8_t pdu[] = {23, 1, 44, 0, 8, 0, 100, 0, 2, 4, 1, 2, 3, 4};
-  struct modbus_request request;
-  assert_int_equal(modbus_pdu_parse(pdu, sizeof pdu, &request), 0);
-  assert_int_equal(request.function, 23);
-  assert_int_equal(request.address, 300);
-  assert_int_equal(request.count, 8);
-  assert_int_equal(request.write_address, 100);
-  assert_int_equal(request.write_count, 2);
-  assert_ptr_equal(request.values, pdu + 10);
-}
-
-/* Of random bytes, the codec accepts only requests with valid lengths and counts. */
-UNIT_TEST(what_is_let_through_is_whole) {
-  uint64_t random = unit_seed();
-  size_t passed = 0;
-  for (int i = 0; i < 300000; i++) {
-    uint8_t pdu[MODBUS_PDU_MAX];
-    static const uint8_t functions[] = {1, 2, 3, 4, 5, 6, 15, 16, 17, 22, 23, 43};
-    unit_random_bytes(&random, pdu, sizeof pdu);
-    pdu[0] = functions[unit_random_below(&random, sizeof functions)];
-    pdu[3] = pdu[0] == 5 ? 0xff * (pdu[3] & 1) : 0; /* so that counts are small */
-    pdu[4] = pdu[0] == 5 ? 0 : pdu[4];
-    pdu[7] = 0;
-    pdu[5] = pdu[0] == 15 ? (uint8_t)((pdu[4] + 7) / 8) : pdu[0] == 16 ? 2 * pdu[4] : pdu[5];
-    pdu[9] = 2 * pdu[8]; /* so that the number of bytes mostly fits the count */
-    const size_t length = modbus_pdu_bytes(pdu, sizeof pdu);
-    const size_t bytes =
-        unit_random_below(&random, 4) == 0 ? 1 + unit_random_below(&random, sizeof pdu) : length;
-    if (bytes > sizeof pdu) {
-      continue;
-    }
-    struct modbus_request request;
-    if (modbus_pdu_parse(pdu, bytes, &request) != 0) {
-      continue;
-    }
-    passed++;
-    assert_int_equal(bytes, length);
-    assert_true(request.count <= 2000 && request.write_count <= 123);
-    if (request.values != NULL) {
-      assert_true(request.values + 2 * request.write_count == pdu + bytes);
-    }
-    if (pdu[0] == 15) {
-      assert_true(6 + (request.count + 7) / 8 == bytes);
-    }
-  }
-  assert_true(passed > 1000);
-}
-
 UNIT_TEST(lengths_are_told_by_the_beginning) {
   const uint8_t write[] = {16, 0, 0, 0, 2, 4, 0, 0, 0, 0};
   for (size_t bytes = 0; bytes <= sizeof write; bytes++) {

@@ -1,5 +1,6 @@
-/* The wire's text, headers and names. The target messages of tests/fuzz writes and reads every
- * structure; the examples of PROTOCOL.md hold their sizes; test_hello_and_statistics.py has the lists. */
+/* The wire's text and names. The target messages of tests/fuzz writes and reads every
+ * structure; the examples of PROTOCOL.md hold their sizes; test_hello_and_statistics.py has the lists, and
+ * test_messages.py wrong headers. */
 #include "proto/wire.h"
 #include "tests/unit/unit.h"
 
@@ -41,66 +42,6 @@ UNIT_TEST(text_ends_at_its_zero_byte) {
   assert_string_equal(value.name, "xxx");
   wire_put_value(bytes, &value);
   assert_memory_equal(bytes, "xxx\0\0\0\0\0", 8);
-}
-
-/* ---- headers ------------------------------------------------------------------------------ */
-
-static const wire_header good_header = {
-    .magic = WIRE_MAGIC,
-    .version = WIRE_VERSION,
-    .type = WIRE_TYPE_EVAL,
-    .request_id = 7,
-    .payload_bytes = 64,
-};
-
-static void assert_header(wire_header header, uint64_t max_payload_bytes, enum wire_status status,
-                          const char *field) {
-  const wire_error error = wire_header_check(&header, max_payload_bytes);
-  assert_int_equal(error.status, status);
-  assert_string_equal(error.field, field);
-  assert_int_equal(strlen(error.allowed) > 0, status != WIRE_STATUS_OK);
-}
-
-/* The first fault of a header counts, in this order: magic, version, length. */
-UNIT_TEST(headers_are_checked) {
-  static const struct {
-    uint32_t magic;
-    uint16_t version;
-    uint32_t payload_bytes;
-    uint64_t max_payload_bytes;
-    enum wire_status status;
-    const char *field;
-  } rows[] = {
-      {WIRE_MAGIC, WIRE_VERSION, 64, 64, WIRE_STATUS_OK, ""},
-      {WIRE_MAGIC, WIRE_VERSION, 64, UINT64_MAX, WIRE_STATUS_OK, ""},
-      {WIRE_MAGIC, WIRE_VERSION, 0, 0, WIRE_STATUS_OK, ""},
-      {WIRE_MAGIC, WIRE_VERSION, UINT32_MAX - 7, UINT32_MAX, WIRE_STATUS_OK, ""},
-      {WIRE_MAGIC, WIRE_VERSION, 64, 63, WIRE_STATUS_TOO_LARGE, "payload_bytes"},
-      {WIRE_MAGIC, WIRE_VERSION, UINT32_MAX, 1024, WIRE_STATUS_TOO_LARGE, "payload_bytes"},
-      {WIRE_MAGIC, 99, 65, 1024, WIRE_STATUS_BAD_VERSION, "version"},
-      {WIRE_MAGIC, 99, 64, 63, WIRE_STATUS_BAD_VERSION, "version"},
-      {WIRE_MAGIC, 0, 64, 1024, WIRE_STATUS_BAD_VERSION, "version"},
-      {0, 99, 64, 1024, WIRE_STATUS_BAD_MAGIC, "magic"},
-      {0x4449504c, WIRE_VERSION, 64, 1024, WIRE_STATUS_BAD_MAGIC, "magic"}, /* big-endian magic */
-  };
-  wire_header header = good_header;
-  for (size_t i = 0; i < sizeof rows / sizeof rows[0]; i++) {
-    header.magic = rows[i].magic;
-    header.version = rows[i].version;
-    header.payload_bytes = rows[i].payload_bytes;
-    assert_header(header, rows[i].max_payload_bytes, rows[i].status, rows[i].field);
-  }
-  header = good_header;
-  for (uint32_t rest = 1; rest < WIRE_ALIGNMENT; rest++) {
-    header.payload_bytes = 64 + rest;
-    assert_header(header, 1024, WIRE_STATUS_BAD_LENGTH, "payload_bytes");
-  }
-}
-
-UNIT_TEST(the_magic_reads_as_text) {
-  uint8_t bytes[WIRE_BYTES_header];
-  wire_put_header(bytes, &good_header);
-  assert_memory_equal(bytes, "DIPL", 4);
 }
 
 /* ---- names -------------------------------------------------------------------------------- */
