@@ -189,7 +189,8 @@ static double light_at(const ways *of, const ways_path *way, double u, double r)
   const stack_layer *own = &of->layer[way->layer];
   const struct ray ray = ray_at(of, way->layer, x);
   const double mu = ray.mu[way->layer + 1];
-  const double h = fmax(0, r - length_of(of, way, x)) / x;
+  /* a cosine next to 1 has lost the digits of a sine below 1e-8 */
+  const double h = fmin(own->thickness, fmax(0, r - length_of(of, way, x)) / x);
   const solver_phase phase = {.g = own->g};
   const size_t left = of->reflections_most - way->reflections;
   const double z = way->upwards ? h : own->thickness - h;

@@ -1,6 +1,6 @@
 /* truth: is every stated error true?
  *
- *   truth [--seconds N | --rounds N] [--seed N] [--model ID] [--workers N]
+ *   truth [--seconds N | --rounds N] [--seed N] [--model ID | --odd] [--workers N]
  *
  * A round draws, for every model, a medium, moments and parameters from the whole domain, more
  * often from the usual part of it. The program compares each evaluator's values at random radii
@@ -17,7 +17,8 @@
  * `gaussians` is compared with the model that it was fitted to. Path lengths and derivatives are
  * compared with those of the formula's series, and modulated light with the formula continued from 36
  * absorptions; that of `transport`, with g = 0, with tests/accuracy/isotropic/ continued from 12. Half
- * spaces of any g are compared with layers that they are cut into. Besides values the rounds check
+ * spaces of any g are compared with layers that they are cut into; with --odd, rounds have nothing but
+ * layers at the limits of what is taken. Besides values the rounds check
  * samples (core_sample), inversions (invert_albedo), that a cdf never falls once it is 1, and the stated
  * errors of models against solutions of transport.
  *
@@ -81,6 +82,7 @@ enum check {
   MODEL_ERROR,
   TOLERANCE, /* a table states no more than was asked for */
   LAYERS,    /* equal layers are their half space */
+  ODD_LAYERS,
   PATH_LENGTH,
   DPF,
   TIME,
@@ -106,6 +108,7 @@ static const char *const check_names[CHECKS] = {
     [MODEL_ERROR] = "model error",
     [TOLERANCE] = "tolerance",
     [LAYERS] = "layers",
+    [ODD_LAYERS] = "odd layers",
     [PATH_LENGTH] = "path",
     [DPF] = "dpf",
     [TIME] = "time",
@@ -655,6 +658,98 @@ static void check_layers(struct subject *s, uint64_t *random) {
   }
 }
 
+/* ---- odd layers ---------------------------------------------------------------------------------- */
+
+enum { ODD = INT32_MAX }; /* in place of a model's number */
+
+/* Draws layers at the limits of what is taken. */
+static void draw_odd_layers(core_medium layer[CORE_LAYERS_MAX], core_parameters *to,
+                            uint64_t *random) {
+  const double strongest = log_between(random, 1e-3, 1e3);
+  const bool steps = below(random, 3) > 0, deep = below(random, 2);
+  *to = core_parameters_none();
+  to->layer_count = 1 + (uint32_t)below(random, CORE_LAYERS_MAX - 1);
+  to->value[CORE_PARAMETER_TOLERANCE] = 1;
+  for (uint32_t i = 0; i < to->layer_count; i++) {
+    const bool last = i + 1 == to->layer_count, weak = last && below(random, 2);
+    const double sigma_t =
+        weak ? log_between(random, 1e-14, 1e3) : strongest * log_between(random, 0.0201, 1);
+    const double least = log_between(random, 1e-14, 1);
+    const double absorbs[] = {0, 1, least, 1 - least, core_splitmix_f64(random)};
+    const double absorbed = sigma_t * absorbs[below(random, 5)];
+    const double gs[] = {0, 0.99, -0.99, between(random, -0.99, 0.99)};
+    const double etas[] = {1, 1.4, 0.25, 4, log_between(random, 0.25, 4)};
+    const double depths[] = {1.001e-4, 9.99e3, log_between(random, 1.001e-4, 9.99e3)};
+    core_medium medium = {absorbed, sigma_t - absorbed, gs[below(random, 4)],
+                          steps ? etas[below(random, 5)] : 1.4};
+    medium.thickness_mm = last && deep ? 0 : depths[below(random, 3)] / core_sigma_t_prime(&medium);
+    layer[i] = medium;
+  }
+}
+
+/* Layers are prepared whole, and with one of them cut in two: whatever is answered is finite and not
+ * negative, the shares of the energy have the sum 1, and both have the same R and T within what they
+ * state. */
+static void check_odd_layers(uint64_t *random) {
+  struct subject s = {.moments = CORE_MOMENTS_EXACT};
+  core_medium layer[2][CORE_LAYERS_MAX];
+  core_profile profiles[2];
+  draw_odd_layers(layer[0], &s.parameters, random);
+  const uint32_t count_of = s.parameters.layer_count;
+  const uint32_t at = (uint32_t)below(random, count_of);
+  const bool finite = layer[0][count_of - 1].thickness_mm > 0;
+  s.medium = layer[0][0];
+  while (models[s.model] != CORE_MODEL_TRANSPORT) {
+    s.model++;
+  }
+  memcpy(layer[1], layer[0], at * sizeof *layer[0]);
+  memcpy(&layer[1][at + 1], &layer[0][at], (count_of - at) * sizeof *layer[0]);
+  core_medium *cut = &layer[1][at];
+  *cut = cut[1];
+  cut->thickness_mm = between(random, 0.1, 0.9) *
+                      (cut->thickness_mm > 0 ? cut->thickness_mm : 1 / core_sigma_t_prime(cut));
+  cut[1].thickness_mm -= cut[1].thickness_mm > 0 ? cut->thickness_mm : 0;
+  size_t ready = 0;
+  for (; ready < 2; ready++) {
+    s.parameters.layer_count = count_of + (uint32_t)ready;
+    if (core_profile_prepare(&profiles[ready], core_isa_select(NULL), CORE_MODEL_TRANSPORT,
+                             s.moments, CORE_EVALUATOR_F64, layer[ready], &s.parameters)
+            .field != NULL) {
+      break;
+    }
+    const core_profile *p = &profiles[ready];
+    double sum = 0, least = 0;
+    for (size_t i = 0; i < CORE_BALANCE_SHARES; i++) {
+      sum += p->balance[i];
+      least = fmin(least, p->balance[i]);
+    }
+    const double off = fmax(fabs(sum - 1), -least);
+    count(&s, F64, ODD_LAYERS, off <= 1e-7 + 4 * p->balance_error, 0, -1, sum, least);
+  }
+  for (double mfp = 1e-3; mfp < 1e3 && ready > 0; mfp *= 3) {
+    for (int side = 0; side < (finite ? 2 : 1); side++) {
+      const enum core_quantity quantity = side == 0 ? CORE_QUANTITY_R : CORE_QUANTITY_T;
+      const double r = mfp / core_sigma_t_prime(&s.medium);
+      double value[2], allowed = 0;
+      for (size_t i = 0; i < ready; i++) {
+        const core_stated_errors stated =
+            core_profile_errors(&profiles[i], quantity, (core_radii_range){r, r});
+        core_eval_f64(&profiles[i], quantity, 1, &r, &value[i]);
+        allowed += (stated.numerical + stated.numerical_per_mm * r) * value[i];
+        count(&s, F64, ODD_LAYERS, value[i] >= 0 && isfinite(value[i]) && stated.numerical >= 0, 0,
+              r, value[i], stated.numerical);
+      }
+      if (ready == 2 && isfinite(allowed)) {
+        const double share = fabs(value[1] - value[0]) / (allowed + DBL_MIN);
+        count(&s, F64, ODD_LAYERS, share <= 1, share, r, value[1], value[0]);
+      }
+    }
+  }
+  while (ready > 0) {
+    core_profile_free(&profiles[--ready]);
+  }
+}
+
 /* ---- known values -------------------------------------------------------------------------------- */
 
 #define KNOWN_FILE "tests/accuracy/known.csv"
@@ -1153,6 +1248,9 @@ static void run_round(uint64_t seed, unsigned only) {
   if (only == 0 && round_now % 4 == 0) {
     check_model_errors(&random);
   }
+  if (only == ODD || (only == 0 && round_now % 8 == 7)) {
+    check_odd_layers(&random);
+  }
 }
 
 static unsigned long long print_classes(const struct worker *workers, size_t count_of_workers) {
@@ -1214,9 +1312,13 @@ static void *shared(size_t bytes) {
 }
 
 static struct options read_options(int argc, char **argv) {
-  static const struct option names[] = {{"seconds", 1, NULL, 's'}, {"rounds", 1, NULL, 'r'},
-                                        {"seed", 1, NULL, 'e'},    {"model", 1, NULL, 'm'},
-                                        {"workers", 1, NULL, 'w'}, {0}};
+  static const struct option names[] = {{"seconds", 1, NULL, 's'},
+                                        {"rounds", 1, NULL, 'r'},
+                                        {"seed", 1, NULL, 'e'},
+                                        {"model", 1, NULL, 'm'},
+                                        {"workers", 1, NULL, 'w'},
+                                        {"odd", 0, NULL, 'o'},
+                                        {0}};
   struct options options = {.seconds = (double)INFINITY,
                             .rounds = UINT64_MAX,
                             .seed = (uint64_t)(now_s() * 1e6),
@@ -1235,11 +1337,14 @@ static struct options read_options(int argc, char **argv) {
     case 'm':
       options.only = (unsigned)atoi(optarg);
       break;
+    case 'o':
+      options.only = ODD;
+      break;
     case 'w':
       options.workers = (size_t)atoi(optarg);
       break;
     default:
-      fprintf(stderr, "usage: truth [--seconds N | --rounds N] [--seed N] [--model ID] "
+      fprintf(stderr, "usage: truth [--seconds N | --rounds N] [--seed N] [--model ID | --odd] "
                       "[--workers N]\n");
       exit(2);
     }
@@ -1268,7 +1373,9 @@ int main(int argc, char **argv) {
     if (child == 0) {
       prctl(PR_SET_PDEATHSIG, SIGTERM);
       worker = &workers[w];
-      replay(w, options.workers);
+      if (options.only != ODD) {
+        replay(w, options.workers);
+      }
       work(&options, start_s);
       _exit(0);
     }
