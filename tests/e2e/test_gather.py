@@ -411,7 +411,7 @@ def test_a_hundred_clients_that_send_and_never_ask(daemon):
     """Unfinished sets share a budget, and finished ones another. What was sent and not finished is
     freed after a time."""
     budget = 8_000_000
-    one = daemon("--points-bytes", str(budget), "--frame-timeout-ms", "1500")
+    one = daemon("--points-bytes", str(budget), "--frame-timeout-ms", "6000")
     # Each client sends the half of another set, about 0.57 MB.
     payload_of = lambda seed: points_payload(scene(38_000, seed=seed), 0, 19_000)  # noqa: E731
     first = payload_of(0)
