@@ -47,16 +47,11 @@ static void fail_open(const char *text) {
   dipole_error error;
   assert_false(dipole_open(text, &client, &error));
   assert_null(client);
-  if (error.kind != DIPOLE_ERROR_ADDRESS || error.text[0] == '\0') {
+  const char *said = strstr(text, ", ") != NULL ? "nothing but a comma between them" : "";
+  if (error.kind != DIPOLE_ERROR_ADDRESS || error.text[0] == '\0' ||
+      strstr(error.text, said) == NULL) {
     fail_msg("%s: kind %d: %s", text, error.kind, error.text);
   }
-}
-
-UNIT_TEST(test_what_is_said_of_a_wrong_separator) {
-  dipole_client *client;
-  dipole_error error;
-  assert_false(dipole_open("tcp:a:1, tcp:b:2", &client, &error));
-  assert_non_null(strstr(error.text, "nothing but a comma between them"));
 }
 
 UNIT_TEST(test_wrong_lists) {

@@ -317,6 +317,9 @@ UNIT_TEST(test_arguments) {
   NUMBERS(4, 0, seed, 2, "there are only 3 numbers");
   NUMBERS(1, SIZE_MAX, seed, 2, "there are only 3 numbers");
   assert_true(dipole_sample_numbers(&drawn, 3, 0, numbers, &error));
+  double last;
+  assert_true(dipole_sample_numbers(&drawn, 0, 3, numbers, &error));
+  assert_true(dipole_sample_numbers(&drawn, 2, 1, &last, &error) && last == numbers[2]);
 
   dipole_inversion *inversion;
   dipole_invert_query inverted = {.model = 2,
