@@ -481,7 +481,12 @@ def lies_about(message: str) -> dict[str, Callable[[int, bytes], list[bytes]]]:
             payload if number == 0 else payload[: structure.bytes] + b"\x01" + payload[structure.bytes + 1 :]
         ]
     if message == "invert":
-        lies["another reach later"] = changed("albedo_most", 1)
+
+        def no_errors(number: int, payload: bytes) -> list[bytes]:
+            fixed = structure.unpack(payload)._asdict() | {"errors": 0}
+            return [structure.pack(**fixed) + payload[structure.bytes : -24 * fixed["count"]]]
+
+        lies |= {"no errors": no_errors, "another reach later": changed("albedo_most", 1)}
     if message in STREAMED:
         lies["the first is lost"] = lambda number, payload: [payload] if number else []
         lies["the first twice"] = lambda number, payload: [payload] * (2 if number == 0 else 1)
