@@ -84,8 +84,8 @@ def test_the_errors_of_the_daemon(client, model):
             assert not here.model_error < 0.999 * asked[2]  # a table has those of bands of radii
 
 
-def test_the_tolerances_of_the_header(client):
-    """dipole.h says which tolerances tables are built to, and which is the default."""
+def test_the_tolerances_of_the_documents(client):
+    """They say which tolerances tables are built to, and which is the default, as dipole.h does."""
     header = " ".join((REPOSITORY / "clients/c/dipole.h").read_text().split())
     number = r"(\S+)"
     said = re.search(
@@ -95,6 +95,13 @@ def test_the_tolerances_of_the_header(client):
     )
     least, usual, most, same = map(float, said.groups())
     assert most == same
+    for path, range_end, default in (
+        ("proto/PROTOCOL.md", "to 1,", "Default: "), ("proto/REGISTERS.md", "to 1 (", "default "),
+        ("clients/packaging/man/dipole.1", "to 1 (", "default: "),
+    ):  # fmt: skip
+        text = (REPOSITORY / path).read_text()
+        for part in (f"{said[1]} {range_end}", f"above {said[3]} counts as {said[3]}", default + said[2]):
+            assert part in text, (path, part)
 
     def ask(**tolerance: float) -> bytes:
         radii = [0.1, 0.5, 1, 3, 10]

@@ -1,13 +1,11 @@
-/* The lists from which requests choose: what fits the wire, and the ids that must never change. */
+/* The lists from which requests choose: what fits the wire. test_permanent_ids has the ids that must never
+ * change. */
 #include "tests/unit/unit.h"
 
 static const core_choice *const lists[] = {
     core_models,         core_evaluators, core_moments_list, core_quantities, core_spacings,
     core_parameter_list, core_notes,      core_draws,        core_lengths,    core_phases,
 };
-#define LEAST CORE_TEXT(CORE_LUT_TOLERANCE_MIN)
-#define MOST CORE_TEXT(CORE_LUT_TOLERANCE_MAX)
-#define OTHERWISE CORE_TEXT(CORE_LUT_TOLERANCE)
 enum { LISTS = sizeof lists / sizeof lists[0] };
 
 /* On the wire, an id has 32 bits and is not 0, a name has 32 bytes, and its explanation 96. */
@@ -19,31 +17,6 @@ UNIT_TEST(entries_fit_the_wire) {
       assert_non_null(entry->about);
       assert_in_range(strlen(entry->about), 1, 96);
     }
-  }
-}
-
-/* The ranges in the texts of evaluators are those that the daemon keeps. */
-UNIT_TEST(documents_agree_on_the_tolerances_of_tables) {
-  static const struct {
-    const char *path;
-    const char *range;
-    const char *clamped;
-    const char *otherwise;
-  } texts[] = {
-      {"proto/PROTOCOL.md", "from " LEAST " to 1,", "above " MOST " counts as " MOST,
-       "Default: " OTHERWISE},
-      {"clients/packaging/man/dipole.1", "from " LEAST " to 1 (", "above " MOST " counts as " MOST,
-       "default: " OTHERWISE},
-      {"proto/REGISTERS.md", LEAST " to 1 (", "above " MOST " counts as " MOST,
-       "default " OTHERWISE},
-  };
-  for (size_t i = 0; i < sizeof texts / sizeof texts[0]; i++) {
-    char *text = unit_read_file(texts[i].path);
-    assert_non_null(text);
-    assert_non_null(strstr(text, texts[i].range));
-    assert_non_null(strstr(text, texts[i].clamped));
-    assert_non_null(strstr(text, texts[i].otherwise));
-    free(text);
   }
 }
 
