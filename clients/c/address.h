@@ -37,8 +37,7 @@ bool libdipole_addresses_parse(const char *text, libdipole_addresses *addresses,
 /* Returns whether the client starts a private daemon. */
 bool libdipole_addresses_is_private(const libdipole_addresses *addresses);
 
-/* Copies the names of files; those that are NULL are $DIPOLED_CA, $DIPOLED_CERTIFICATE and
- * $DIPOLED_KEY. */
+/* Copies names of files; NULL means $DIPOLED_CA, $DIPOLED_CERTIFICATE and $DIPOLED_KEY. */
 bool libdipole_addresses_set_tls(libdipole_addresses *addresses, const libdipole_tls_files *files,
                                  dipole_error *error);
 

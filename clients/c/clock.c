@@ -38,8 +38,7 @@ bool libdipole_wait(int fd, short events, unsigned timeout_ms, short *ready) {
   }
 }
 
-/* Implements xorshift64* (Vigna 2016). Returns the upper 32 of its 64 bits, which are the better
- * ones. */
+/* Returns the upper 32 of the 64 bits of xorshift64* (Vigna 2016), which are the better ones. */
 uint32_t libdipole_random(uint64_t *state) {
   uint64_t x = *state;
   if (x == 0) {

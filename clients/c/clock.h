@@ -14,8 +14,7 @@ int64_t libdipole_now_ms(void);
 void libdipole_sleep_ms(int64_t ms);
 
 /* Waits for events of one descriptor with poll(), also across signals. timeout_ms: 0 is no limit.
- * On success, stores the events in *ready. Otherwise returns false and sets errno, to ETIMEDOUT
- * after timeout_ms. */
+ * Stores the events in *ready, or returns false and sets errno, to ETIMEDOUT after timeout_ms. */
 bool libdipole_wait(int fd, short events, unsigned timeout_ms, short *ready);
 
 /* Returns a random number. Set *state to 0 before the first call. */

@@ -197,8 +197,7 @@ static int spawn(const char *program, int fd, pid_t *pid) {
   return fault;
 }
 
-/* Starts a private daemon. program: its path; "" means the dipoled beside the running program, or
- * else the one in PATH. */
+/* Starts a daemon. program: its path; "": the dipoled beside this program, else that in PATH. */
 static bool start_daemon(const char *program, int *fd, pid_t *pid, dipole_error *error) {
   char beside[PATH_MAX];
   int pair[2];

@@ -110,11 +110,9 @@ typedef struct dipole_options {
   unsigned call_timeout_ms;
   /* For how long the client retries, here and in later calls: see dipole_set_retry_ms().
    * dipole_open_with() tries all addresses in turn until one replies, and fails when no daemon has
-   * replied for retry_ms; 0: it tries each address once. It is always 0 for private: addresses.
-   * Default: 5000. */
+   * replied for retry_ms; 0, as always for private:, tries each address once. Default: 5000. */
   unsigned retry_ms;
-  /* The number of outstanding queries at which dipole_submit() fails with kind FULL; 0 is no limit.
-   * Default: 4096. */
+  /* How many outstanding queries make dipole_submit() fail as FULL; 0: no limit. Default: 4096. */
   unsigned in_flight_max;
   /* Which of several addresses is tried first. false: the first one in the list; true: a random
    * one, so that many clients spread over the daemons. Default: false. */
@@ -495,8 +493,7 @@ void dipole_flush(dipole_client *client);
 bool dipole_collect(dipole_client *client, uint64_t *id, dipole_result **result,
                     dipole_error *error);
 
-/* Waits like dipole_collect(), but for the query with this id. Kind ARGUMENT: no outstanding query
- * has this id. */
+/* Waits like dipole_collect(), for the query with this id. Kind ARGUMENT: it is not outstanding. */
 bool dipole_collect_id(dipole_client *client, uint64_t id, dipole_result **result,
                        dipole_error *error);
 
@@ -650,8 +647,7 @@ typedef struct dipole_fit_query {
   unsigned deadline_ms; /* as of an eval */
 } dipole_fit_query;
 
-/* What was found for one set of readings. With DIPOLE_FIT_REFUSED all numbers from sigma_a_per_mm
- * on are NaN. */
+/* What was found for one set. With DIPOLE_FIT_REFUSED all from sigma_a_per_mm on is NaN. */
 typedef struct dipole_fitted {
   uint16_t status; /* enum dipole_fit_status */
   uint16_t bounds; /* sum of: 1 least and 2 largest sigma_a / sigma_s' that is tried, 4 least and 8
@@ -671,8 +667,7 @@ typedef struct dipole_fitted {
    * Those with the factor are 0 unless the scale is DIPOLE_FREE. */
   double variance_a, covariance_a_s, variance_s, covariance_a_factor, covariance_s_factor,
       variance_factor;
-  /* A second medium that is a local best, with chi-squared less than 9 above that of the best; all
-   * NaN if none was found. */
+  /* A second medium, a local best, whose chi-squared is less than 9 above the best; NaN: none. */
   double second_sigma_a_per_mm, second_sigma_s_prime_per_mm, second_factor, second_chi_squared;
   /* The relative error of R of the best medium against radiative transport, at the distances of the
    * readings and between them: that of transport, and with detector_na that of the share that is
@@ -754,8 +749,7 @@ void dipole_layers_fit_free(dipole_layers_fit *fit); /* fit may be NULL */
 
 /* ---- tissues ------------------------------------------------------------------------------- */
 
-/* Published tables of the absorption of haemoglobin, which differ by up to 31 %: say with results
- * which one it was. */
+/* Published tables of haemoglobin's absorption, up to 31 % apart: say with results which it was. */
 enum dipole_haemoglobin { DIPOLE_PRAHL = 1, DIPOLE_UCL = 2 };
 
 typedef struct dipole_tissue_query {
@@ -784,8 +778,7 @@ typedef struct dipole_sought {
 } dipole_sought;
 
 typedef struct dipole_tissue_fit_query {
-  /* What is not sought, and where the search starts; the wavelengths. g is 0.9 and eta 1.4 unless
-   * they are properties. */
+  /* What is not sought, where the search starts, wavelengths. Unless given, g is 0.9, eta 1.4. */
   dipole_tissue_query tissue;
   unsigned model;              /* the model of the readings */
   unsigned axis;               /* enum dipole_axis */
@@ -851,8 +844,7 @@ void dipole_tissue_fits_free(dipole_tissue_fits *fits); /* fits may be NULL */
 /* ---- tables -------------------------------------------------------------------------------- */
 
 /* The table that the evaluator DIPOLE_LUT uses for one medium. The library evaluates it in this
- * process, with the daemon's bits. A table never changes: any number of threads may evaluate it at
- * once. */
+ * process, with the daemon's bits. It never changes: any number of threads may use it at once. */
 typedef struct dipole_table dipole_table;
 
 typedef struct dipole_table_query {
@@ -929,8 +921,7 @@ bool dipole_table_errors(const dipole_table *table, unsigned wanted, size_t n, c
 
 /* Computes the radii r[n] in mm with cdf(r) = u: random u give radii that are distributed as the
  * light. u: [n] from 0 to 1, both included; 1 gives INFINITY. All radii are 0 if the medium does
- * not scatter. The arrays must not overlap. Returns false and does not write to r if a u is out of
- * range. */
+ * not scatter. The arrays must not overlap. Returns false and leaves r if a u is out of range. */
 bool dipole_table_radii(const dipole_table *table, size_t n, const float *u, float *r);
 
 void dipole_table_free(dipole_table *table); /* table may be NULL */
@@ -1051,8 +1042,7 @@ typedef struct dipole_points dipole_points;
 /* Makes a set of points and computes its name, in about a second for 1 GB. xyz_mm:
  * [point_count][3], from -1e9 to 1e9. power_W: [point_count][channel_count], from 0 to 1e30:
  * irradiance times area. Both arrays stay the caller's, and must stay as they are until the caller
- * frees *points with dipole_points_free(). A set may have 1 to 16777216 points with 1 to 8
- * channels. */
+ * frees *points with dipole_points_free(). A set has 1 to 16777216 points of 1 to 8 channels. */
 bool dipole_points_make(uint64_t point_count, uint32_t channel_count, const double *xyz_mm,
                         const float *power_W, dipole_points **points, dipole_error *error);
 
@@ -1111,9 +1101,8 @@ bool dipole_gather_at_home(const dipole_table *const *tables, const dipole_point
 
 /* ---- Monte Carlo --------------------------------------------------------------------------- */
 
-/* A Monte Carlo job: the daemon walks photons through a medium until it has walked enough of them
- * or the errors are small enough. The same query gives the same bits unless the job is cancelled or
- * cut off. */
+/* A Monte Carlo job: the daemon walks photons through a medium until they are enough or the errors
+ * are small enough. The same query gives the same bits unless the job is cancelled or cut off. */
 typedef struct dipole_mc_query {
   dipole_medium medium;
   const dipole_medium *layers; /* [layer_count], in place of `medium`; NULL: none */
@@ -1132,8 +1121,7 @@ typedef struct dipole_mc_query {
   double error_rings; /* The job ends when that of every ring with light is at most this. */
   /* [parameter_count]: phase, whose values are the ids of the choices of kind DIPOLE_PHASE,
    * phase_share and phase_g, without which the phase function is Henyey and Greenstein's; and
-   * detector_na, as of a fit: rings then count the light alone that is detected, and the totals all
-   * light. NULL for none. */
+   * detector_na, as of a fit: rings then count detected light, totals all light. NULL for none. */
   const dipole_parameter *parameters;
   size_t parameter_count;
 } dipole_mc_query;
@@ -1202,8 +1190,7 @@ void dipole_mc_result_free(dipole_mc_result *result); /* result may be NULL */
 
 /* These functions return arrays [ring_count], which the result owns, or NULL if there is no such
  * albedo or side. Values: the mean over each ring of the power that leaves, in 1/mm^2 per unit of
- * power that entered. Errors: the standard errors of the values. Photons: how many left in each
- * ring. */
+ * power that entered. Errors: their standard errors. Photons: how many left in each ring. */
 const double *dipole_mc_values(const dipole_mc_result *result, uint32_t albedo,
                                enum dipole_mc_side side);
 const double *dipole_mc_errors(const dipole_mc_result *result, uint32_t albedo,
@@ -1220,8 +1207,7 @@ typedef struct dipole_measured_medium {
   dipole_medium channel[3 * 8]; /* [3][layer_count] */
 } dipole_measured_medium;
 
-/* Requests the media that the daemon knows by name. *media is an array of *count, which the caller frees with
- * free(). */
+/* Requests the media that the daemon knows by name. free() frees *media, an array of *count. */
 bool dipole_media(dipole_client *client, dipole_measured_medium **media, size_t *count,
                   dipole_error *error);
 

@@ -38,8 +38,7 @@ bool libdipole_fail_protocol(dipole_error *error, const char *what) {
 _Static_assert(sizeof((dipole_error *)0)->field == sizeof((wire_error *)0)->field, "field");
 _Static_assert(sizeof((dipole_error *)0)->allowed == sizeof((wire_error *)0)->allowed, "allowed");
 
-/* Returns the daemon's name for a status, or this library's own name if the daemon's lists lack it.
- */
+/* Returns the daemon's name for a status, or this library's if the daemon's lists lack it. */
 static const char *status_name(const dipole_info *info, unsigned status) {
   for (size_t i = 0; i < info->choice_count; i++) {
     if (info->choices[i].kind == DIPOLE_STATUS && info->choices[i].id == status) {

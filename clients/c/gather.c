@@ -19,8 +19,7 @@ enum {
   SENT_MOST = 4, /* the largest number of times that the points are sent before any sum arrives */
 };
 
-/* With tolerance 0: the largest number of pairs of query and point in one request, about two
- * seconds of work. */
+/* With tolerance 0: most pairs of query and point in one request, about two seconds of work. */
 #define PART_PAIRS ((uint64_t)1 << 30)
 
 struct dipole_points {
@@ -225,8 +224,7 @@ static void drop_all(struct run *run) {
   run->under_way = 0;
 }
 
-/* Cancels the requests that are under way. Errors are ignored: with the connection, requests end
- * too. */
+/* Cancels the requests under way. Errors are ignored: with the connection, requests end, too. */
 static void cancel_all(const struct run *run) {
   for (unsigned i = 0; i < run->under_way; i++) {
     uint64_t cancel_id;
@@ -363,8 +361,7 @@ static bool check(const dipole_gather_query *query, dipole_error *error) {
 }
 
 /* Sorts queries of several requests so that neighbours are in one request: the daemon shares work
- * between them. If there is a bad query, the order stays as given, because the daemon names it by
- * its index. */
+ * between them. With a bad query, the order stays, because the daemon names it by its index. */
 static void set_order(struct run *run) {
   const dipole_gather_query *query = run->query;
   const uint64_t n = query->query_count;

@@ -98,8 +98,7 @@ bool libdipole_make(libdipole_made *made, const schema_payload *payload, const d
   return check_counts(made, error);
 }
 
-/* Returns whether a reply has its length, and fields that are as those of the same names in the
- * request. */
+/* Returns whether a reply has its length and repeats the request's fields of the same names. */
 static bool is_reply_to(const libdipole_made *made, const schema_payload *reply,
                         const libdipole_frame *frame) {
   schema_layout layout;

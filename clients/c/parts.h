@@ -64,8 +64,7 @@ typedef struct libdipole_kind {
   void (*hand_on)(libdipole_pending *pending, libdipole_frame *part);
   /* Returns whether this frame is a report of progress, which more frames follow. */
   bool (*is_progress)(const libdipole_frame *frame);
-  /* Returns whether this reply was cut off by a daemon that stops. The client then sends the
-   * request again. */
+  /* Returns whether a daemon that stops cut this reply off: the client then requests it again. */
   bool (*is_cut_off)(const libdipole_frame *frame);
 } libdipole_kind;
 
@@ -114,8 +113,7 @@ struct libdipole_pending {
 libdipole_frame *libdipole_frame_new(const wire_header *header, uint64_t payload_bytes,
                                      uint32_t channel_count, dipole_error *error);
 
-/* Returns whether a frame is the next part of the reply to a request, with a count that it may
- * have. */
+/* Returns whether a frame is the next part of a reply, with a count that it may have. */
 bool libdipole_part_is_next(const libdipole_pending *pending, const wire_part *part);
 
 /* Takes a part of a reply, a frame, which it owns. After the last one, the whole reply is

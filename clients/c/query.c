@@ -42,8 +42,7 @@ bool libdipole_query_check(unsigned model, unsigned others, const dipole_paramet
   return true;
 }
 
-/* Checks the media of a query, and the list of numbers, if there is one, whose type the evaluator
- * says. */
+/* Checks the media of a query, and the list of numbers, if any, whose type the evaluator says. */
 static bool check_lists(const dipole_medium *media, uint32_t medium_count, unsigned evaluator,
                         const void *list, uint64_t count, dipole_error *error) {
   if (media == NULL && medium_count > 0) {

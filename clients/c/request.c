@@ -256,8 +256,7 @@ static bool begin_frame(dipole_client *client, dipole_error *error) {
 static bool fail_connection(dipole_client *client, libdipole_frame *frame, dipole_error *error) {
   refused(client, NULL, frame, error);
   free(frame);
-  /* Before the reply to hello, opening the client fails with this error. Later, the connection is
-   * lost because of it. */
+  /* Before the reply to hello, opening fails with this error; later, the connection is lost. */
   error->kind = client->info != NULL ? DIPOLE_ERROR_CONNECTION : DIPOLE_ERROR_REFUSED;
   return false;
 }
@@ -275,8 +274,7 @@ static void end_reply(dipole_client *client, libdipole_pending *pending) {
   }
 }
 
-/* Returns whether the request can be sent again: the client has a copy, and no reader has got a
- * part of the reply. */
+/* Returns whether the request can be sent again: there is a copy, and no reader has got a part. */
 static bool can_repeat(const libdipole_pending *pending) {
   return pending->kept != NULL && !pending->dropped &&
          (pending->reader == NULL || pending->next_part == 0);
@@ -406,8 +404,7 @@ static bool fail_late(const dipole_client *client, dipole_error *error) {
                         client->call_timeout_ms);
 }
 
-/* Lowers *limit_ms to the time that is left for the call; 0 means no limit. Fails with kind TIMEOUT
- * if no time is left. */
+/* Lowers *limit_ms to the time left; 0: no limit. Fails with kind TIMEOUT if none is left. */
 static bool limit_to_call(const dipole_client *client, unsigned *limit_ms, dipole_error *error) {
   if (client->until_ms == 0) {
     return true;
@@ -629,8 +626,7 @@ static bool wait_for_round(dipole_client *client, int64_t until_ms, uint32_t ret
   return limit_to_call(client, &call_ms, error);
 }
 
-/* Tries to connect again until until_ms, or until an error is not temporary. Returns NULL and sets
- * *error if that fails. */
+/* Tries to connect again until until_ms or a lasting error: then returns NULL and sets *error. */
 static dipole_client *connect_again(dipole_client *client, int64_t until_ms, dipole_error *error) {
   const dipole_error first = *error;
   dipole_error latest = first;

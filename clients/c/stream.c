@@ -68,8 +68,7 @@ bool libdipole_stream_wait(const libdipole_stream *stream, short events, unsigne
   return libdipole_wait(stream->fd, events, timeout_ms, ready);
 }
 
-/* Fails after reading failed: the connection is lost, or the daemon has refused the client's
- * certificate. */
+/* Fails after reading failed: the connection is lost, or the daemon refused the certificate. */
 static bool fail_received(const libdipole_stream *stream, dipole_error *error) {
   const int number = errno;
   const char *refusal =

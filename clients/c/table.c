@@ -95,8 +95,7 @@ static void set_range(dipole_table *table) {
   table->radius_most_mm = (double)far > most ? nextafterf(far, 0) : far;
 }
 
-/* Sets *cosine to a parameter that is a cosine, or to 1 if it is not given. Returns false if it is
- * out of range. */
+/* Sets *cosine to a parameter, or to 1 if it is not given. Returns false if it is out of range. */
 static bool get_cosine(const core_parameters *parameters, enum core_parameter id, double *cosine) {
   const double value = parameters->value[id];
   *cosine = value == value ? value : 1;

@@ -33,8 +33,7 @@ ssize_t libdipole_tls_write(libdipole_tls *tls, const void *from, size_t bytes);
 /* Returns whether bytes can be read without waiting for the socket. */
 bool libdipole_tls_pending(const libdipole_tls *tls);
 
-/* Returns why the daemon refuses the client's certificate, or NULL if it does not; called after
- * EPROTO. */
+/* Returns why the daemon refuses the client's certificate, after EPROTO, or NULL if it does not. */
 const char *libdipole_tls_refusal(const libdipole_tls *tls);
 
 #endif

@@ -478,8 +478,7 @@ static const formula formulas[] = {
 #include "clients/cli/formula.def"
 };
 
-/* How a language writes a function: the line before its body, what begins and ends a statement, and
- * what comes last. */
+/* How a language writes a function: what is before its body, around a statement, and at its end. */
 static const struct language {
   const char *name, *comment, *head, *number, *end, *last;
 } languages[] = {

@@ -274,8 +274,7 @@ static int measure_all(report *all) {
 
 /* ---- writing --------------------------------------------------------------------------------- */
 
-/* Adds a figure to the rows. A table shows three digits of it without an exponent, in the unit of
- * its head. */
+/* Adds a figure. A table shows three digits of it without an exponent, in the unit of its head. */
 static void put_figure(cli_rows *rows, const char *name, const char *head, double unit,
                        double value) {
   char text[64];

@@ -7,8 +7,7 @@
 #include "clients/cli/options.h"
 #include "clients/cli/profile.h"
 
-/* Prints a candidate if it begins with `start`. before: text in front of `start` in the same word,
- * which is kept. */
+/* Prints a candidate that begins with `start`. before: text before that in the word, kept. */
 static void offer(const char *before, const char *start, const char *name, const char *about) {
   if (strncmp(name, start, strlen(start)) == 0) {
     printf("%s%s%s%.*s\n", before, name, about[0] != '\0' ? "\t" : "", (int)strcspn(about, ";."),

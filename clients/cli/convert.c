@@ -187,8 +187,7 @@ static double colour_by(enum colour_kind kind, double absorbed, double g) {
   return low;
 }
 
-/* Returns the ratio of a convention's length to d of Burley's profile (Christensen, Burley
- * 2015). */
+/* Returns a convention's length over d of Burley's profile (Christensen, Burley 2015). */
 static double per_burley(enum length_kind kind, double colour) {
   const double off = fabs(colour - 0.8);
   return kind == BLENDER  ? 4 * acos(-1)
@@ -228,8 +227,7 @@ static bool find_colours(const material *of, unsigned model, const dipole_medium
   return true;
 }
 
-/* Sets media[count] to those of colours and lengths under a model; `given` is the kind of length. g and
- * eta are set already. */
+/* Sets media[count], which have g and eta, to those of colours and lengths of the kind `given`. */
 static bool find_media(const material *of, unsigned model, unsigned given, const double *colours,
                        const double *lengths_mm, dipole_medium *media) {
   for (size_t i = 0; i < of->count; i++) {
@@ -345,8 +343,7 @@ static bool read_numbers(material *of) {
       return false;
     }
   }
-  /* The scale is the ratio of the wanted length to that of the medium with an extinction of 1 /
-   * mm. */
+  /* The scale is the wanted length over that of the medium with an extinction of 1 / mm. */
   if (!find_media(of, CORE_MODEL_TRANSPORT, DIPOLE_EXTINCTION_PATH, wanted, ratios, of->media) ||
       (of->from->length == SKIN && !skin_ratios(of, of->typed, ratios)) ||
       (of->from->length >= BURLEY &&

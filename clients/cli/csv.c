@@ -70,8 +70,7 @@ static void add_cell(cli_csv_record *record, cli_csv_cell cell) {
   record->cells[record->cell_count++] = cell;
 }
 
-/* Copies the text of a quoted cell. *at: the position after its first quote; set to that after its
- * last quote. */
+/* Copies the text of a quoted cell. *at: the place behind its first quote, then behind its last. */
 static void copy_quoted(cli_csv_record *record, cli_csv_cell *cell, size_t *at, size_t end) {
   for (; *at < end; (*at)++) {
     if (record->bytes[*at] == '"' && (++*at == end || record->bytes[*at] != '"')) {
@@ -84,8 +83,7 @@ static void copy_quoted(cli_csv_record *record, cli_csv_cell *cell, size_t *at, 
   }
 }
 
-/* Makes the cells of a record from its bytes. The texts of cells lie where the cells do, so that
- * each has room. */
+/* Makes the cells of a record. The texts of cells lie where the cells do, so that each has room. */
 static void split(cli_csv_record *record, char separator) {
   const char *bytes = record->bytes;
   const size_t end = record->length - record->ending_bytes;
@@ -441,8 +439,7 @@ static bool fail_line(const cli_sheet *sheet, uint64_t line, const char *what) {
   return cli_fails("%s: line %llu: %s", sheet->source, (unsigned long long)line, what);
 }
 
-/* Reads a cell as a number: NAN if it is empty or absent. Reports an error and returns false if it
- * is neither. */
+/* Reads a number: NAN if the cell is empty or absent. Says so and returns false if it is none. */
 static bool take_number(const cli_sheet *sheet, const cli_csv_record *record, const char *name,
                         size_t at, double *number) {
   size_t length;
@@ -476,8 +473,7 @@ static const char *fault_of(const cli_csv_record *row, size_t header_cells) {
                                : NULL;
 }
 
-/* Adds a row to the sheet. names: [columns + 1] of the columns; the last one is the column of
- * labels, or NULL. */
+/* Adds a row to the sheet. names: [columns + 1]; the last one is the column of labels, or NULL. */
 static bool take_row(cli_sheet *sheet, const cli_csv_record *record, const char *const *names,
                      size_t header_cells) {
   const char *fault = fault_of(record, header_cells);

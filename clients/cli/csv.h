@@ -76,8 +76,7 @@ typedef struct cli_csv_reader {
 } cli_csv_reader;
 
 /* Reads the next record into *record, which may hold another one. The first one is the header. A
- * byte order mark at the start of the input is part of the first record's bytes, but not of its
- * first cell. */
+ * byte order mark is part of the first record's bytes, but not of its first cell. */
 enum cli_csv_kind cli_csv_read(cli_csv_reader *reader, cli_csv_record *record);
 
 /* Returns the text of a cell without its quotes and the blanks around it. It is valid until the
@@ -92,8 +91,7 @@ const char *cli_csv_number_hint(const char *text);
 
 /* Finds the columns with these names in the header of `source`, a file's name: at[i] is the
  * position of names[i], or CLI_CSV_ABSENT. Says what is wrong and returns false if one stands there
- * twice, or a column is nearly called as one of them, or as one of the options, which may be
- * NULL. */
+ * twice, or is nearly called as one of them, or as one of the options, which may be NULL. */
 #define CLI_CSV_ABSENT SIZE_MAX
 bool cli_csv_find(const char *source, const cli_csv_record *header, const char *const *names,
                   size_t count, const cli_option *options, size_t *at);

@@ -36,8 +36,7 @@ int cli_fail_error_of(const char *what, const dipole_error *error);
 
 /* ---- names ----------------------------------------------------------------------------------- */
 
-/* Returns the first choice of a kind at position *from or later, and sets *from behind it; NULL if
- * there is none. */
+/* Returns the next choice of a kind from *from on, and sets *from behind it, or returns NULL. */
 const dipole_choice *cli_next_choice(const dipole_info *info, enum dipole_kind kind, size_t *from);
 
 /* Return the choice of a kind with this name or id; NULL if there is none. */
@@ -49,15 +48,13 @@ const dipole_choice *cli_choice_of_id(const dipole_info *info, enum dipole_kind 
 const dipole_choice *cli_named(const dipole_info *info, enum dipole_kind kind, const char *option,
                                const char *name);
 
-/* Writes all names of a kind, such as "classical, better"; ", ..." stands for those that do not
- * fit. */
+/* Writes all names of a kind, as "classical, better"; ", ..." is for those that do not fit. */
 void cli_list_names(const dipole_info *info, enum dipole_kind kind, char *text, size_t bytes);
 
 /* Returns a limit of the daemon by its name; `otherwise` if it has none of this name. */
 uint64_t cli_limit(const dipole_info *info, const char *name, uint64_t otherwise);
 
-/* Returns the next note, from position *from on, that is in the sum `notes`; NULL if there is no
- * more. */
+/* Returns the next note in the sum `notes` from *from on; NULL if there is no more. */
 const dipole_choice *cli_next_note(const dipole_info *info, unsigned notes, size_t *from);
 
 #endif

@@ -61,8 +61,7 @@ double cli_edge_at(const double *r_mm, double x_mm) {
 
 /* ---- Burley's profile ------------------------------------------------------------------------ */
 
-/* Numbers of places at which edges are compared, which are quantiles of the radii, and of steps of
- * the search. */
+/* Numbers of places to compare edges at, quantiles of the radii, and of steps of the search. */
 enum { PLACES = 96, STEPS = 40 };
 
 /* Returns the radius at which the cdf of Burley's profile with d = 1 is u: the inverse of 1 - e^-x /

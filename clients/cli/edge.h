@@ -24,8 +24,7 @@ bool cli_edge_radii(const cli_settings *settings, dipole_client *client, const d
 double cli_edge_at(const double *r_mm, double x_mm);
 
 /* Returns the length d of Burley's profile (Christensen, Burley 2015) whose edge is the nearest to
- * that of a profile with these radii, and sets *error to the largest difference of E, unless it is
- * NULL. */
+ * that of these radii, and sets *error to the largest difference of E, unless it is NULL. */
 double cli_edge_burley(const double *r_mm, double *error);
 
 #endif

@@ -478,8 +478,7 @@ static void put_facts(cli_rows *rows, const void *context) {
   }
 }
 
-/* Returns the number of rows of a model and channel: one for each place, or one if only the albedo
- * is wanted. */
+/* Returns the rows of a model and channel: one for each place, or one for the albedo alone. */
 static size_t rows_of_channel(const cli_eval_report *report) {
   return report->place_count > 0 ? report->place_count : 1;
 }

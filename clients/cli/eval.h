@@ -1,5 +1,4 @@
-/* eval: values of models at radii, as `dipole eval`, `plot` and `sample` request them and write
- * them. */
+/* eval: values of models at radii, as `dipole eval`, `plot` and `sample` request and write them. */
 #ifndef DIPOLE_CLI_EVAL_H
 #define DIPOLE_CLI_EVAL_H
 
@@ -10,8 +9,7 @@
 
 /* ---- replies ----------------------------------------------------------------------- */
 
-/* The values of one model and channel. Single precision values are held as the doubles that they
- * equal. */
+/* The values of one model and channel. Those of single precision are doubles that equal them. */
 typedef struct cli_eval_values {
   double albedo;                             /* albedo of the medium; NaN if it is not wanted */
   dipole_balance balance;                    /* zeros if it is not wanted */

@@ -206,8 +206,7 @@ static bool check_header(const cli_sheet *sheet, const cli_csv_record *header) {
              "sample, g, eta, detector_na, source_mm and detector_mm");
 }
 
-/* Returns the number of the sample of this name, which is `next` if it is new. table: the
- * names so far */
+/* Returns the number of the sample of this name: `next` if it is new. table: the names so far. */
 static size_t number_of(struct hsearch_data *table, char *name, size_t next) {
   ENTRY *found;
   if (hsearch_r((ENTRY){name, (void *)(uintptr_t)next}, ENTER, &found, table) == 0) {
@@ -301,8 +300,7 @@ static int complete_samples(report *of) {
   return CLI_OK;
 }
 
-/* Reads the file and groups its lines into samples. Says what is wrong and returns an exit
- * status. */
+/* Reads the file and groups its lines into samples. Returns an exit status. */
 static int read_samples(report *of) {
   cli_sheet sheet;
   if (!cli_sheet_read(of->settings->operand, "sample", names, COLUMNS, check_header, &sheet)) {
@@ -336,8 +334,7 @@ static int choose(const cli_settings *settings, dipole_client *client, report *o
   return of->scale != NULL && of->axis != NULL ? CLI_OK : CLI_USAGE;
 }
 
-/* Samples side by side that were taken at the same places of the same kind of medium, so that one
- * request has them all. */
+/* Samples side by side of the same places and kind of medium, so that one request has them all. */
 typedef struct batch {
   size_t first, count;
 } batch;
@@ -650,8 +647,7 @@ static int draw_fit(const report *of) {
   return status;
 }
 
-/* Until they have a reply, samples are refused, and all numbers NaN, whose bytes may be 255
- * each. */
+/* Without a reply, samples are refused, and all numbers NaN, whose bytes may be 255. */
 static void refuse_all(report *of) {
   const size_t count = of->sample_count;
   of->fitted = cli_allocate(count, sizeof *of->fitted);

@@ -34,8 +34,7 @@ static void on_png_error(png_structp png, png_const_charp what) {
   png_longjmp(png, 1);
 }
 
-/* Says why a colour profile is not used; libpng then leaves it out. One of sRGB is known without
- * it. */
+/* Says why libpng leaves a colour profile out. One of sRGB is known without it. */
 static void on_png_warning(png_structp png, png_const_charp what) {
   if (strncmp(what, "iCCP", 4) == 0 && strstr(what, "known incorrect sRGB") == NULL) {
     cli_say(CLI_OK, "%s: its colour profile is not used: %s", (const char *)png_get_error_ptr(png),
@@ -43,8 +42,7 @@ static void on_png_warning(png_structp png, png_const_charp what) {
   }
 }
 
-/* Makes the profile of grey values, or of those with the primaries of sRGB (ITU-R BT.709). Frees
- * the curve. */
+/* Makes a profile of grey or of the primaries of sRGB (ITU-R BT.709). Frees the curve. */
 static cmsHPROFILE make_profile(size_t channels, cmsToneCurve *curve) {
   const cmsCIExyY white = {0.3127, 0.3290, 1};
   const cmsCIExyYTRIPLE primaries = {{0.64, 0.33, 1}, {0.30, 0.60, 1}, {0.15, 0.06, 1}};
@@ -57,8 +55,7 @@ static cmsHPROFILE make_profile(size_t channels, cmsToneCurve *curve) {
 
 /* Returns how a file says that its values become linear light: cICP goes first, then sRGB, iCCP and
  * gAMA (Portable Network Graphics, third edition). Without a word they are sRGB, and so they are
- * where gAMA is nearly 1 / 2.2, which files that are sRGB say. Returns NULL if that is not
- * known. */
+ * where gAMA is nearly 1 / 2.2, which files that are sRGB say; NULL if that is not known. */
 static cmsHPROFILE profile_of(png_structp png, png_infop info, size_t channels) {
   enum { CICP_SRGB = 13, OF_SRGB = 4 };
   const double sRGB[] = {2.4, 1 / 1.055, 0.055 / 1.055, 1 / 12.92, 0.04045}; /* IEC 61966-2-1 */

@@ -1,5 +1,4 @@
-/* image: images in files: PNG (libpng, and lcms2 for their colours) and the portable float map PFM
- * (Debevec 1998). */
+/* image: images in files: PNG (libpng, lcms2 for colours) and the float map PFM (Debevec 1998). */
 #ifndef DIPOLE_CLI_IMAGE_H
 #define DIPOLE_CLI_IMAGE_H
 

@@ -1,5 +1,4 @@
-/* dipole info: the daemon, what it offers, its limits and its statistics; dipole media: its
- * measured media. */
+/* dipole info: the daemon's lists, limits and statistics; dipole media: its measured media. */
 #include <math.h>
 #include <stdlib.h>
 

@@ -86,8 +86,7 @@ static uint64_t photons_of(const cli_settings *settings, const dipole_info *info
  * within a tenth of the radius, and less elsewhere. */
 #define RING_WIDTH 0.03
 
-/* Sets the rings: logarithmic ones, of which the first and the last lie around the smallest and the
- * largest radius. */
+/* Sets logarithmic rings, whose first and last lie around the smallest and largest radius. */
 static void set_rings(const cli_numbers *r, dipole_mc_query *query) {
   double least_mm = r->items[0], most_mm = r->items[0];
   for (size_t i = 1; i < r->count; i++) {
@@ -188,8 +187,7 @@ static dipole_mc_value value_at(const dipole_mc_result *result, uint32_t albedo,
 
 enum { PARTS_OF_SIDE = 4, PARTS_OF_ALL = 3, PARTS = 2 * PARTS_OF_SIDE + PARTS_OF_ALL };
 
-/* Returns how many rows an albedo has: the radii of --r, or the rings and then where the power
- * went. */
+/* Returns how many rows an albedo has: the radii of --r, or the rings and where the power went. */
 static size_t rows_of(const report *of) {
   return of->r->count > 0
              ? of->r->count
@@ -272,8 +270,7 @@ static void put_walk(cli_rows *rows, const void *context) {
   cli_put_count(rows, of->result->last.photons, "photons", .forms = CLI_IN_TABLE);
 }
 
-/* Writes a row: channel by channel, albedo by albedo. A reading of --r is one that `dipole fit`
- * reads. */
+/* Writes a row, by channels and albedos. A reading of --r is one that `dipole fit` reads. */
 static void put_row(cli_rows *rows, const void *context, size_t index) {
   const reports *all = context;
   const size_t each = rows_of(&all->items[0]), albedos = all->items[0].result->albedo_count;

@@ -49,8 +49,7 @@ static bool is_name(const core_choice *parameter) {
   return strncmp(parameter->about, "id: ", strlen("id: ")) == 0;
 }
 
-/* Makes an option of a parameter: its text is without the unit 1 or id, and without a range of
- * ids. */
+/* Makes an option of a parameter: its text has no unit 1 or id, and no range of ids. */
 static cli_option option_of(const core_choice *parameter) {
   static char without_range[CORE_PARAMETERS_END][64];
   const char *about = strchr(parameter->about, ':') + 2;

@@ -13,8 +13,7 @@ bool cli_options_read(int argc, char **argv, cli_settings *settings, int *status
 const cli_option *cli_options_find(const char *field);
 
 /* Returns the options and headings of a command, in the order of --help, with the names that they
- * have on a command line; NULL as a name ends the list. It is valid until another command's is
- * made. */
+ * have on a command line; NULL as a name ends the list, which is valid until another is made. */
 const cli_option *cli_options_of(const cli_command *command);
 
 /* Writes what the last word of a command line of `dipole` may become, each on a line, with what

@@ -212,8 +212,7 @@ static int run_program(FILE *const files[FILES]) {
   return pid > 0 && WIFEXITED(outcome) ? WEXITSTATUS(outcome) : -1;
 }
 
-/* Copies a picture into its file. Of text, blanks at line ends are left out, and form feeds become
- * line ends. */
+/* Copies a picture. Of text, blanks at line ends are left out, and form feeds become line ends. */
 static bool copy_picture(FILE *from, const char *path) {
   FILE *to = is_text(path) ? stdout : fopen(path, "wbe");
   if (to == NULL) {

@@ -1,5 +1,4 @@
-/* picture: curves in one panel, or in two below each other, drawn by gnuplot into a file or as
- * text. */
+/* picture: curves in one panel or two below each other, drawn by gnuplot into a file or as text. */
 #ifndef DIPOLE_CLI_PICTURE_H
 #define DIPOLE_CLI_PICTURE_H
 
@@ -33,8 +32,7 @@ int cli_picture_check(const cli_texts *paths, const cli_settings *settings);
 /* Adds a zeroed curve, which lies there until the next is added. */
 cli_curve *cli_picture_add(cli_picture *picture);
 
-/* Draws into each of the files, or for "-" onto standard output. Says what is wrong and returns an
- * exit status. */
+/* Draws into each of the files; "-" is standard output. Returns an exit status. */
 int cli_picture_draw(cli_picture *picture, const cli_texts *paths);
 
 #endif

@@ -223,8 +223,7 @@ static bool is_required(const points_run *points, size_t input) {
                                points->columns.at[LAYERS] == CLI_CSV_ABSENT;
 }
 
-/* Finds the columns. Says what is wrong and returns false if one is missing, misspelt or stands
- * there twice. */
+/* Finds the columns. Says so and returns false if one is missing, misspelt or there twice. */
 static bool find_columns(points_run *points, const cli_csv_record *header) {
   columns *of = &points->columns;
   list_columns(points, of);
@@ -253,8 +252,7 @@ static bool find_columns(points_run *points, const cli_csv_record *header) {
 
 /* ---- writing --------------------------------------------------------------------------------- */
 
-/* Writes the end of the line as it was read. The last line of a file may lack one; then writes \n.
- */
+/* Writes the end of the line as it was read, or \n if the last line of a file lacks one. */
 static void write_ending(const cli_csv_record *record) {
   if (record->ending_bytes == 0) {
     putc_unlocked('\n', stdout);
@@ -469,9 +467,8 @@ static bool read_layers(points_row *row, const char *text) {
                           SHOWN_BYTES, text);
 }
 
-/* Reads the medium and the radius. The coefficients are those in the cells or, if sigma_a and
- * sigma_s are both empty, the layers in their cell, or those of a measured medium, which the other
- * cells override. */
+/* Reads the medium and the radius. The coefficients are those in the cells or, without sigma_a and
+ * sigma_s, the layers in their cell, or those of a measured medium, which other cells override. */
 static bool read_medium(const points_run *points, points_row *row) {
   const char *name = text_of(points, row, MEDIUM);
   const char *layers = text_of(points, row, LAYERS);
@@ -835,8 +832,7 @@ static void write_before_wait(void *context) {
   }
 }
 
-/* Returns whether a record or a comment was read. If not, this is the end of the input, or the work
- * has failed. */
+/* Returns whether a record or a comment was read. Else the input ends, or the work has failed. */
 static bool read_record(points_run *points, cli_csv_record *record, enum cli_csv_kind *kind) {
   *kind = cli_csv_read(&points->reader, record);
   if (*kind == CLI_CSV_FAILED && !points->failed && write_all(points)) { /* the rows before */

@@ -180,8 +180,7 @@ static inline const dipole_medium *cli_profile_layers(const cli_profile *profile
 bool cli_profile_take_names(const cli_settings *settings, dipole_client *client,
                             cli_profile *profile);
 
-/* Looks up the names and reads the parameters and the media. Says what is wrong and returns an exit
- * status. */
+/* Looks up the names and reads the parameters and the media. Returns an exit status. */
 int cli_profile_take(const cli_settings *settings, dipole_client *client, cli_profile *profile);
 
 /* Sets the media of a tissue, of a profile whose info is there: a channel for each wavelength. Says what
@@ -210,8 +209,7 @@ typedef struct cli_quantities {
 } cli_quantities;
 
 /* Looks up the names. Without names, the quantities in the sum `usual` are wanted. Quantities in
- * the sum `single` can be wanted, but are not listed as items. Says what is wrong and returns false
- * if a name is unknown. */
+ * the sum `single` can be wanted, but are no items. Says so and returns false if one is unknown. */
 bool cli_quantities_take(const dipole_info *info, const cli_texts *names, unsigned usual,
                          unsigned single, cli_quantities *quantities);
 

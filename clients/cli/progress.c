@@ -37,8 +37,7 @@ static void write_time(double seconds) {
 
 /* ---- calls without a bar --------------------------------------------------------------------- */
 
-/* A bar was shown since the last second; seconds that are shown; both are set in a signal
- * handler. */
+/* A bar was shown since the last second; seconds that are shown. A signal handler sets both. */
 static volatile sig_atomic_t bar_moves, shown_s;
 
 static void on_second(int signal_number) {

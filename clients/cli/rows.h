@@ -1,5 +1,4 @@
-/* rows: a list of like things, described once and written as an aligned table, as CSV or as JSON.
- */
+/* rows: a list of like things, described once and written as a table, as CSV or as JSON. */
 #ifndef DIPOLE_CLI_ROWS_H
 #define DIPOLE_CLI_ROWS_H
 
@@ -63,8 +62,7 @@ void cli_rows_shown(cli_rows *rows, double value, const char *text, const cli_co
 double cli_number_of_single(float value);
 double cli_number_rounded(double value);
 
-/* Returns value number i of a quantity of a reply, in the fewest digits of its precision; of the
- * albedo, the only one. */
+/* Returns value i of a quantity, or the albedo, in the fewest digits of its precision. */
 double cli_value(const dipole_result *result, uint32_t channel, unsigned quantity, size_t i);
 
 /* Returns the numerical error of the values at a radius. */

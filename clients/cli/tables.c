@@ -1,5 +1,4 @@
-/* dipole table: fetches the tables that the evaluator lut uses, and writes them one behind the
- * other into a file. */
+/* dipole table: fetches the tables of the evaluator lut, and writes them one by one into a file. */
 #include <errno.h>
 #include <math.h>
 #include <stdlib.h>

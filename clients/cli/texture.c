@@ -196,8 +196,7 @@ static int report_missing(const texture_run *run, const cli_image *in) {
       status != NULL ? status->name : "unknown", status != NULL ? status->about : "others");
 }
 
-/* Writes OUT, or with several coefficients OUT with the name of each before the ending, as in
- * skin.sigma_a.pfm. */
+/* Writes OUT, with the name of each of several coefficients before the end, as skin.sigma_a.pfm. */
 static int write_images(const texture_run *run) {
   const char *out = run->settings->second_operand, *ending = strrchr(out, '.');
   bool good = true;

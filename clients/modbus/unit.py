@@ -34,8 +34,7 @@ def refuse(what: str, about: str | None) -> NoReturn:
 
 
 def arguments(about: str | None, least: int, most: int) -> list[str]:
-    """Returns the words of the command line, of which there are `least` to `most`. --help prints
-    what the program is about."""
+    """Returns the `least` to `most` words of the command line. --help prints `about`."""
     given = sys.argv[1:]
     if "--help" in given or "-h" in given:
         print(about)

@@ -120,8 +120,7 @@ def client_text(build: Path) -> tuple[str, str]:
 
 
 def comment_text(comment: str) -> str:
-    """Returns the paragraphs of a C comment. Lines that are indented further are shown
-    unchanged."""
+    """Returns the paragraphs of a C comment; lines that are indented further stay as they are."""
     lines = [re.sub(r"^ ?\*? ?", "", line).rstrip() for line in comment.split("\n")]
     text = ""
     for block in re.findall(r"(?:^  .*\n?)+|(?:^(?!  ).+\n?)+", "\n".join(lines), re.M):
@@ -154,8 +153,7 @@ def library_text() -> tuple[str, str]:
 
 
 def text_of(name: str) -> tuple[str, str]:
-    """Returns the title and the rest of a text in proto/, without comments, and with its headings
-    one level up."""
+    """Returns title and rest of a text in proto/, without comments, and headings a level up."""
     text = re.sub(r"<!--.*?-->\n?", "", (TREE / TEXTS[name]).read_text(), flags=re.DOTALL)
     title, text = re.match(r"# ([^\n]*)\n(.*)", text, re.DOTALL).groups()
     return title, "# Description\n" + re.sub(r"^#(#+ )", r"\1", text, flags=re.M)

@@ -1,5 +1,4 @@
-"""python_folder.py PREFIX: prints the folder below PREFIX in which this Python looks for
-modules."""
+"""python_folder.py PREFIX: prints the folder below PREFIX where this Python finds modules."""
 
 from __future__ import annotations
 

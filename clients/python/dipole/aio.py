@@ -78,8 +78,7 @@ class _Waiting(Waiting):
                 timer.cancel()
 
     async def work(self, function: Callable[[], T]) -> T:
-        """Calls a function in a thread. A connection that it opens is closed if nobody waits for it
-        any more."""
+        """Calls a function in a thread. A connection that it opens is closed if nobody waits."""
         result: asyncio.Future[T] = self._loop.create_future()
         self._work = result
 

@@ -47,8 +47,7 @@ def name_of(info: Info, kind: str, number: int) -> str:
 
 
 def ids_of(info: Info, **values: Any) -> dict[str, Any]:
-    """Returns the numbers of fields of a request: the id for the name of a choice, the sum of the ids
-    for several."""
+    """Returns the numbers of fields: the id for a choice's name, a sum for several."""
     ids = dict(values)
     for field, value in values.items():
         if field in schema.SUMS and not hasattr(value, "__index__"):

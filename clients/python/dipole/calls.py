@@ -57,8 +57,7 @@ def takes_query(
 
 
 def signature_of(call: Callable[..., object]) -> inspect.Signature:
-    """Returns the signature of a method that makes a call. It has one by one the options that are
-    those of a Query."""
+    """Returns the signature of a method that makes a call, with options of a Query one by one."""
     own = inspect.signature(call)
     first, *others = own.parameters.values()
     listed = [first.replace(name="self", annotation=inspect.Parameter.empty)]

@@ -1,5 +1,4 @@
-"""A connection to a dipoled: reads addresses, starts a private daemon, and sends and receives whole
-frames."""
+"""A connection to a dipoled: reads addresses, starts a private daemon, and moves whole frames."""
 
 from __future__ import annotations
 
@@ -194,8 +193,7 @@ class Connection:
         self._process = None
 
     def hang_up(self) -> None:
-        """Ends the connection, even where a forked process holds the socket, too; but not in such a
-        process."""
+        """Ends the connection, even where a forked process holds the socket, too; but not there."""
         if self.is_ours():
             with contextlib.suppress(OSError):
                 shut_down(self.socket, socket.SHUT_RDWR)

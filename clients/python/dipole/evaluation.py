@@ -323,8 +323,7 @@ def numbers_of(draw: Draw, value_type: str = "<f8") -> Array:
 
 
 def _random(seed: int, i: Array, value_type: str) -> Array:
-    """Returns the outputs number i of SplitMix64 (Steele, Lea, Flood 2014), scaled to between 0 and
-    1."""
+    """Returns outputs i of SplitMix64 (Steele, Lea, Flood 2014), scaled to between 0 and 1."""
     with np.errstate(over="ignore"):
         z = np.uint64(seed) + (i + np.uint64(1)) * np.uint64(0x9E3779B97F4A7C15)
         z = (z ^ z >> np.uint64(30)) * np.uint64(0xBF58476D1CE4E5B9)

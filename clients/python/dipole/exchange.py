@@ -31,8 +31,7 @@ _TEMPORARY = ("busy", "shutting-down", "timeout")
 
 
 class Replies(Generic[T]):
-    """Reads the frames that reply to one request. A subclass for each kind of request has its own
-    _add()."""
+    """Reads the frames that reply to a request. A subclass for each kind has its own _add()."""
 
     is_streamed = False  # whether the caller gets each part of the reply as soon as it has come
 
@@ -255,8 +254,7 @@ class Exchange:
         return frame_pieces(type, request_id, request.payload, deadline_ms)
 
     def due(self) -> list[int]:
-        """Returns the ids of the requests that a busy daemon refused and that may be sent again
-        now."""
+        """Returns the ids of requests that a busy daemon refused and that may be sent again."""
         now_s = time.monotonic()
         entries = self._pending.items()
         ids = [i for i, entry in entries if entry.again_s is not None and entry.again_s <= now_s]
@@ -311,8 +309,7 @@ class Exchange:
         return bool(replies.ready) or replies.ended
 
     def next(self, request_id: int) -> Any:
-        """Returns the next part of a reply, or None after the last one. Raises the daemon's error
-        if one has come instead."""
+        """Returns the next part of a reply, or None after the last; or raises its error."""
         ready = self._pending[request_id].replies.ready
         item = ready.popleft() if ready else None
         if isinstance(item, DipoleError):
@@ -404,6 +401,5 @@ def is_temporary(error: DipoleError) -> bool:
 
 
 def with_jitter(pause_s: float) -> float:
-    """Returns a random pause, so that clients that lost the same daemon do not all return at the
-    same moment."""
+    """Returns a random pause, so that clients of a lost daemon do not all return at one moment."""
     return random.uniform(pause_s / 2, pause_s)

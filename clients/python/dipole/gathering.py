@@ -82,8 +82,7 @@ def _read_sent(payload: bytes) -> Any:
 
 
 def _order(queries: Array) -> Any:
-    """Returns an order in which neighbours follow each other: along Morton's curve through 1024
-    cubes on a side."""
+    """Returns an order that keeps neighbours together: Morton's curve through 1024^3 cubes."""
     least = queries.min(axis=0)
     extent = float(np.max(queries.max(axis=0) - least)) or 1.0
     cubes = ((queries - least) * (1023 / extent)).astype(np.int64)

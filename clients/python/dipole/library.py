@@ -1,5 +1,4 @@
-"""Loads libdipole, which evaluates tables, surfaces and the light of points in this process, with
-the daemon's bits."""
+"""Loads libdipole, which evaluates tables, surfaces and points here, with the daemon's bits."""
 
 from __future__ import annotations
 
@@ -98,8 +97,7 @@ def bytes_of(source: str | os.PathLike[str] | bytes) -> bytes:
 
 
 class Fetched:
-    """What Table and Surface share. model and moments are names if the daemon's lists were given,
-    else ids."""
+    """What Table and Surface share. model, moments: names if lists were given, else ids."""
 
     def __init__(self, data: bytes, info: Info | None, kind: str):
         """data: exactly one frame, as a daemon sent it or save() wrote it."""

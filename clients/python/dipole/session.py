@@ -33,8 +33,7 @@ class Waiting:
     """How a client waits. Client blocks; AsyncClient replaces this by what lets other tasks run."""
 
     async def events(self, connection: Connection, wait_s: float | None) -> int:
-        """Waits for events of a connection, which poll() would report. Returns 0 if there are none
-        within wait_s."""
+        """Waits for events of a connection, as of poll(); 0 if there are none within wait_s."""
         return connection.events(wait_s)
 
     async def work(self, function: Callable[[], T]) -> T:
@@ -263,8 +262,7 @@ class Session:
             await self._restore(lost)
 
     async def _restore(self, lost: DipoleError) -> None:
-        """Connects again and sends the requests without a reply again. If that fails, all of them
-        fail with `lost`."""
+        """Connects and sends requests without a reply again; if that fails, `lost` ends them."""
         try:
             self._check()
             until_s = self.exchange.lost(lost)

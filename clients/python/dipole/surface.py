@@ -1,5 +1,4 @@
-"""Surfaces: what all media of one g and eta share. libdipole evaluates them without a daemon, and
-with its bits."""
+"""Surfaces: what all media of one g and eta share. libdipole evaluates them with the same bits."""
 
 from __future__ import annotations
 

@@ -290,8 +290,7 @@ class _Evaluated:
 
     @property
     def values(self) -> dict[str, Array]:
-        """The quantities that have a value for each channel and radius, [C, N], by the daemon's
-        names, such as "2_pi_r_R"."""
+        """Quantities with a value for each channel and radius, [C, N], by the daemon's names."""
         return {name: array for name, array in self.quantities.items() if array.ndim == 2}
 
     @property

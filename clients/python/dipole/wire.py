@@ -131,8 +131,7 @@ class Structure:
         return np.dtype([(field.name, numpy_kinds[field.kind]) for field in self.fields])
 
     def unpack(self, data: bytes, offset: int = 0) -> Any:
-        """Reads the structure at an offset of the data as a named tuple. An array becomes a tuple,
-        a text a str."""
+        """Reads the structure at an offset as a named tuple. Arrays become tuples, texts str."""
         flat = iter(self._struct.unpack_from(data, offset))
         values: list[Any] = []
         for field in self.fields:
@@ -241,9 +240,8 @@ class Payload:
         self.of_items = [part.name for part in self.parts if part.is_of_items]
 
     def pack(self, *fixed: Mapping[str, Any], **parts: Any) -> bytes:
-        """Returns the bytes of a payload. fixed: the fields of its structures, of which counts may be
-        left out. parts: bytes, or arrays that hold them, by name; those that are not given have no
-        elements."""
+        """Returns the bytes of a payload. fixed: fields of its structures; counts may be absent.
+        parts: bytes, or arrays that hold them, by name; others have no elements."""
         pieces: list[bytes | memoryview] = []
         counts: dict[str, int] = {}
         for part in self.parts:
