@@ -572,8 +572,8 @@ struct source {
   size_t side;          /* index of the side of the layers where light leaves: top or bottom */
   double absorbs_least; /* least sigma_a of the layers, per reduced mean free path of the first */
   double kappa;
-  const atomic_bool
-      *stop; /* NULL, or true as soon as nobody wants the values, which are unknown then */
+  /* NULL, or true as soon as nobody wants the values, which are unknown then */
+  const atomic_bool *stop;
 };
 
 /* Returns R of a solution at x mean free paths. */
