@@ -759,38 +759,27 @@ static int run_fit(const cli_settings *settings, dipole_client *client) {
   report of = {.settings = settings};
   dipole_error error;
   int status = take_layers(settings, &of);
+  const bool layers = of.unknowns != 0;
   status = status == CLI_OK ? read_samples(&of) : status;
   status = status == CLI_OK ? choose(settings, client, &of) : status;
-  if (status == CLI_OK && of.unknowns != 0 && (status = check_readings(&of)) == CLI_OK) {
-    refuse_all(&of);
-    if (!request_layers(client, &of, &error)) {
-      return cli_fail_error(&error);
-    }
-    const cli_report output = {.facts = put_facts,
-                               .rows = of.sample_count * (size_t)__builtin_popcount(of.unknowns),
-                               .put_row = put_estimate,
-                               .left = 2,
-                               .foot = write_layers_foot};
-    cli_write(&output, settings->form, &of);
-    for (size_t i = 0; i < of.sample_count; i++) {
-      dipole_layers_fit_free(of.stacks[i]);
-    }
-    return judge(&of);
-  }
-  status = status == CLI_OK ? complete_samples(&of) : status;
+  status = status != CLI_OK ? status : layers ? check_readings(&of) : complete_samples(&of);
   if (status != CLI_OK) {
     return status;
   }
   refuse_all(&of);
-  if (!request_fits(client, &of, &error)) {
+  if (!(layers ? request_layers : request_fits)(client, &of, &error)) {
     return cli_fail_error(&error);
   }
+  const size_t each = layers ? (size_t)__builtin_popcount(of.unknowns) : 1;
   const cli_report output = {.facts = put_facts,
-                             .rows = of.sample_count,
-                             .put_row = put_sample,
-                             .left = 1,
-                             .foot = write_foot};
+                             .rows = of.sample_count * each,
+                             .put_row = layers ? put_estimate : put_sample,
+                             .left = layers ? 2 : 1,
+                             .foot = layers ? write_layers_foot : write_foot};
   cli_write(&output, settings->form, &of);
+  for (size_t i = 0; layers && i < of.sample_count; i++) {
+    dipole_layers_fit_free(of.stacks[i]);
+  }
   status = settings->plot.count > 0 ? draw_fit(&of) : CLI_OK;
   const int judged = judge(&of);
   return status != CLI_OK ? status : judged;

@@ -278,7 +278,7 @@ static size_t sort_readings(const report *of, const tissue_sample *one) {
   return 0;
 }
 
-/* Lists a sample's readings by wavelength and place, and sets these in the query; or says why not. */
+/* Lists a sample's readings by wavelength and place, and sets these in the query or says why not. */
 static bool arrange(const report *of, tissue_sample *one, dipole_tissue_fit_query *query) {
   const size_t room = KINDS * one->count;
   one->all = cli_allocate(room, sizeof *one->all);

@@ -225,11 +225,7 @@ async def fit_tissue(
             for one, (low, high) in ((one, pair or (0, 0)) for one, pair in limits.items())
         ]
     ids = ids_of(info, model=model, axis=axis, scale=scale, haemoglobin=haemoglobin, tissue=0 if name is None else name)
-    fixed = {
-        **ids,
-        "residuals": int(residuals),
-        "detector_na": float(detector_na),
-    }
+    fixed = {**ids, "residuals": int(residuals), "detector_na": float(detector_na)}
     read = [quantity] if isinstance(quantity, str) else quantity
     reads = [0 if one == "R" else id_of(info, "quantity", one) for one in read]
     given = {"at": places, "source": source, "detector": detector, "mhz": mhz}

@@ -117,9 +117,7 @@ def pack_request(
         "error_total": error_total,
         "error_rings": error_rings,
     }
-    return wire.PAYLOADS["mc_request"].pack(
-        fixed, medium=layers.tobytes(), albedo=listed.tobytes()
-    )
+    return wire.PAYLOADS["mc_request"].pack(fixed, medium=layers.tobytes(), albedo=listed.tobytes())
 
 
 def unpack_fixed(payload: bytes) -> Any:

@@ -24,11 +24,7 @@ class Opening:
     """
 
     def __init__(
-        self,
-        address: str | None,
-        timeout_s: float | None,
-        retry_s: float | None,
-        tls: Tls,
+        self, address: str | None, timeout_s: float | None, retry_s: float | None, tls: Tls
     ):
         self._addresses = _several(usual_address() if address is None else address)
         self._at = 0  # index of the address that is in use, or is tried next

@@ -344,9 +344,7 @@ class Result(_Evaluated):
         "them only if r was wanted.",
     )
 
-    def numerical_error(
-        self, r: Array | float | None = None, quantity: str | None = None
-    ) -> Array:
+    def numerical_error(self, r: Array | float | None = None, quantity: str | None = None) -> Array:
         """Returns how far a value at radius r may be from the model's exact formula: [C, N],
         relative, for ln R, its derivatives, paths and modulated light absolute. r: [N] mm; the default is the result's own
         radii. quantity: its name, such as "R"; None takes the largest of all wanted ones."""
@@ -608,6 +606,13 @@ class McValue(NamedTuple):
     error: float
 
 
+class _Side(_Quantity):
+    """A property: `values` or `errors` of a side."""
+
+    def __init__(self, array: str, side: int, about: str):
+        property.__init__(self, lambda result: getattr(result, array)[:, side], doc=about)
+
+
 class McEnergy(NamedTuple):
     """The energy balance for one albedo, in fractions of the power that entered. The first value of
     a pair is for the side where light enters, the second one for the other side of a slab."""
@@ -643,23 +648,10 @@ class McResult:
     errors: Array  # [K, S, N] standard errors of the values
     payload: bytes  # payload of the reply; equal for equal requests unless a job ends early
 
-    @property
-    def R(self) -> Array:
-        """The profile on the side where light enters: `values` of side 0, [K, N] 1/mm^2."""
-        return self.values[:, 0]
-
-    @property
-    def R_error(self) -> Array:
-        """The standard errors of the property R, [K, N] 1/mm^2."""
-        return self.errors[:, 0]
-
-    @property
-    def T(self) -> Array:
-        """The profile of the light that leaves below a slab or the last layer: `values` of side 1,
-        [K, N] 1/mm^2. A half space has none: IndexError."""
-        return self.values[:, 1]
-
-    @property
-    def T_error(self) -> Array:
-        """The standard errors of the property T, [K, N] 1/mm^2."""
-        return self.errors[:, 1]
+    R = _Side("values", 0, "The profile on the side where light enters, [K, N] 1/mm^2.")
+    R_error = _Side("errors", 0, "The standard errors of the property R, [K, N] 1/mm^2.")
+    T = _Side(
+        "values", 1, "The profile of the light that leaves below a slab or the last layer, [K, N] "
+        "1/mm^2. A half space has none: IndexError.",
+    )  # fmt: skip
+    T_error = _Side("errors", 1, "The standard errors of the property T, [K, N] 1/mm^2.")

@@ -105,12 +105,7 @@ async def varying(
         "wanted": sum({*wanted_bits, wire.QUANTITIES["model_error"]}),
         "coefficients": sum(coefficient_bits),
     }
-    fixed: dict[str, Any] = {
-        **same,
-        "numbers": numbers,
-        "g": float(g),
-        "eta": float(eta),
-    }
+    fixed: dict[str, Any] = {**same, "numbers": numbers, "g": float(g), "eta": float(eta)}
     if coloured:
         fixed |= ids_of(info, given=given, light=light, specular=int(specular))
     listed_parameters = parameters_of(info, parameters, tolerance)
