@@ -434,15 +434,20 @@ static bool is_of_file(const fit_sample *one, const dipole_error *error) {
   return error->kind == DIPOLE_ERROR_REFUSED && found;
 }
 
-/* Says what the daemon refuses of samples of one design, of which this is the first. */
-static void report_refused(const report *of, const fit_sample *first, size_t count,
-                           const dipole_error *error) {
+/* Returns whether the daemon refuses what the file says of a batch, and then says so. */
+static bool is_fault_of_file(const report *of, const batch *some, const dipole_error *error) {
+  const fit_sample *first = &of->samples[some->first];
   char line[64] = "";
+  if (!is_of_file(first, error)) {
+    return false;
+  }
   if (error->index < first->count && is_of_reading(error)) {
     snprintf(line, sizeof line, ": reading %zu (line %llu)", (size_t)error->index + 1,
              (unsigned long long)of->lines[first->first + error->index]);
   }
-  cli_fail("sample %s%s%s: %s", first->name, count > 1 ? " and others" : "", line, error->text);
+  cli_fail("sample %s%s%s: %s", first->name, some->count > 1 ? " and others" : "", line,
+           error->text);
+  return true;
 }
 
 /* Requests a batch. If the daemon refuses what the file says of its samples, they stay refused. */
@@ -455,18 +460,35 @@ static bool request_batch(dipole_client *client, report *of, const batch *some,
   query.values = of->values + first->first;
   query.errors = of->errors + first->first;
   dipole_fits *fits;
-  bool good = CLI_RETRY(of->settings, error, dipole_fit(client, &query, &fits, error));
-  if (good) {
+  if (CLI_RETRY(of->settings, error, dipole_fit(client, &query, &fits, error))) {
     const unsigned notes = fits->notes;
     take_fits(of, some, fits);
     dipole_fits_free(fits);
-    good = request_side(client, of, some, query, notes, G_BELOW, error) &&
+    return request_side(client, of, some, query, notes, G_BELOW, error) &&
            request_side(client, of, some, query, notes, G_ABOVE, error);
-  } else if (is_of_file(first, error)) {
-    report_refused(of, first, some->count, error);
-    good = true;
   }
-  return good;
+  return is_fault_of_file(of, some, error);
+}
+
+/* Requests the fit of a stack to a sample, which is a batch of its own. */
+static bool request_stack(dipole_client *client, report *of, const batch *some,
+                          dipole_error *error) {
+  const fit_sample *one = &of->samples[some->first];
+  dipole_layers_fit **fit = &of->stacks[some->first];
+  const dipole_layers_query query = {.layers = of->layers,
+                                     .layer_count = (uint32_t)of->settings->layer.count,
+                                     .unknowns = of->unknowns,
+                                     .scale = of->scale->id,
+                                     .reading_count = one->count,
+                                     .at = of->at + one->first,
+                                     .values = of->values + one->first,
+                                     .errors = of->errors + one->first,
+                                     CLI_DEADLINE_OF(of->settings)};
+  if (CLI_RETRY(of->settings, error, dipole_fit_layers(client, &query, fit, error))) {
+    of->fitted[some->first].status = (uint16_t)(*fit)->status;
+    return true;
+  }
+  return is_fault_of_file(of, some, error);
 }
 
 /* Returns whether two samples can be in one request. */
@@ -491,11 +513,11 @@ static bool request_fits(dipole_client *client, report *of, dipole_error *error)
   for (batch some = {0}; good && some.first < count; some.first += some.count) {
     const fit_sample *first = &of->samples[some.first];
     some.count = 1;
-    while (some.first + some.count < count && some.count * first->count < BATCH_READINGS &&
-           is_alike(of, first, first + some.count)) {
+    while (of->unknowns == 0 && some.first + some.count < count &&
+           some.count * first->count < BATCH_READINGS && is_alike(of, first, first + some.count)) {
       some.count++;
     }
-    good = request_batch(client, of, &some, error);
+    good = (of->unknowns != 0 ? request_stack : request_batch)(client, of, &some, error);
     const double done = (double)(some.first + some.count);
     cli_progress_show(&progress, done / (double)count, done);
   }
@@ -652,6 +674,7 @@ static void refuse_all(report *of) {
   const size_t count = of->sample_count;
   of->fitted = cli_allocate(count, sizeof *of->fitted);
   of->changes = cli_allocate(count, sizeof *of->changes);
+  of->stacks = cli_allocate(count, sizeof(dipole_layers_fit *));
   of->residuals = cli_allocate(of->count, sizeof *of->residuals);
   memset(of->fitted, 0xff, count * sizeof *of->fitted);
   memset(of->residuals, 0xff, of->count * sizeof *of->residuals);
@@ -678,36 +701,6 @@ static int check_readings(const report *of) {
   return more ? cli_fail_usage("--layer: layers are fitted by transport to the columns r, R and "
                                "error, without parameters")
               : CLI_OK;
-}
-
-static bool request_layers(dipole_client *client, report *of, dipole_error *error) {
-  cli_progress progress;
-  bool good = true;
-  of->stacks = cli_allocate(of->sample_count, sizeof(dipole_layers_fit *));
-  cli_progress_start(&progress, "samples");
-  for (size_t i = 0; good && i < of->sample_count; i++) {
-    const fit_sample *one = &of->samples[i];
-    const dipole_layers_query query = {.layers = of->layers,
-                                       .layer_count = (uint32_t)of->settings->layer.count,
-                                       .unknowns = of->unknowns,
-                                       .scale = of->scale->id,
-                                       .reading_count = one->count,
-                                       .at = of->at + one->first,
-                                       .values = of->values + one->first,
-                                       .errors = of->errors + one->first,
-                                       .deadline_ms = (unsigned)of->settings->deadline_ms.value};
-    good = CLI_RETRY(of->settings, error, dipole_fit_layers(client, &query, &of->stacks[i], error));
-    if (good) {
-      of->fitted[i].status = (uint16_t)of->stacks[i]->status;
-    } else if (is_of_file(one, error)) {
-      report_refused(of, one, 1, error);
-      good = true;
-    }
-    const double done = (double)(i + 1);
-    cli_progress_show(&progress, done / (double)of->sample_count, done);
-  }
-  cli_progress_wipe(&progress);
-  return good;
 }
 
 /* Writes an estimate: the samples one after the other, with their unknowns. */
@@ -767,7 +760,7 @@ static int run_fit(const cli_settings *settings, dipole_client *client) {
     return status;
   }
   refuse_all(&of);
-  if (!(layers ? request_layers : request_fits)(client, &of, &error)) {
+  if (!request_fits(client, &of, &error)) {
     return cli_fail_error(&error);
   }
   const size_t each = layers ? (size_t)__builtin_popcount(of.unknowns) : 1;
@@ -777,7 +770,7 @@ static int run_fit(const cli_settings *settings, dipole_client *client) {
                              .left = layers ? 2 : 1,
                              .foot = layers ? write_layers_foot : write_foot};
   cli_write(&output, settings->form, &of);
-  for (size_t i = 0; layers && i < of.sample_count; i++) {
+  for (size_t i = 0; i < of.sample_count; i++) {
     dipole_layers_fit_free(of.stacks[i]);
   }
   status = settings->plot.count > 0 ? draw_fit(&of) : CLI_OK;
