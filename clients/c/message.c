@@ -37,6 +37,10 @@ static bool set_field(const schema_field *field, double number, uint8_t *at, dip
   return true;
 }
 
+static bool fail_too_much(dipole_error *error) {
+  return libdipole_fail_argument(error, "this is more than a frame holds: request less at a time");
+}
+
 /* Sets an array, and the field that counts its elements alone. */
 static bool set_part(libdipole_made *made, unsigned index, const dipole_field *given,
                      dipole_error *error) {
@@ -47,6 +51,9 @@ static bool set_part(libdipole_made *made, unsigned index, const dipole_field *g
     return given->count == 0 ||
            libdipole_fail(error, DIPOLE_ERROR_ARGUMENT, "%s is NULL although its count is not 0",
                           part->name);
+  }
+  if (alone && count->bytes < 8 && given->count >> (8 * count->bytes) != 0) {
+    return fail_too_much(error);
   }
   made->parts[index] = given->elements;
   made->counts[index] = given->count;
@@ -73,11 +80,18 @@ static bool set_given(libdipole_made *made, const dipole_field *given, dipole_er
 /* Checks that the arrays have as many elements as the fields say. */
 static bool check_counts(const libdipole_made *made, dipole_error *error) {
   schema_layout layout;
-  bool good = schema_lay_out(made->payload, made->start, UINT32_MAX, &layout, NULL);
-  for (unsigned i = 0; good && made->payload->parts[i].name != NULL; i++) {
-    good = made->parts[i] == NULL || made->counts[i] == layout.parts[i].count;
+  if (!schema_lay_out(made->payload, made->start, UINT32_MAX, &layout, NULL)) {
+    return fail_too_much(error);
   }
-  return good || libdipole_fail_argument(error, "an array has not as many elements as it needs");
+  for (unsigned i = 0; made->payload->parts[i].name != NULL; i++) {
+    if (made->parts[i] != NULL && made->counts[i] != layout.parts[i].count) {
+      return libdipole_fail(error, DIPOLE_ERROR_ARGUMENT,
+                            "%s has %llu elements, where the other fields want %llu",
+                            made->payload->parts[i].name, (unsigned long long)made->counts[i],
+                            (unsigned long long)layout.parts[i].count);
+    }
+  }
+  return true;
 }
 
 bool libdipole_make(libdipole_made *made, const schema_payload *payload, const dipole_field *fields,

@@ -331,11 +331,11 @@ UNIT_TEST(test_arguments) {
                                   .medium_count = 1};
 #define INVERT(field, value, why)                                                                  \
   REFUSED(inverted, dipole_invert(client, &wrong, &inversion, &error), field, value, why)
-#define COUNTS "an array has not as many elements as it needs"
   INVERT(albedos, NULL, "albedo is NULL although its count is not 0");
   INVERT(lengths_mm, NULL, "length is NULL although its count is not 0");
   INVERT(given, 65536, "given is a whole number from 0 to 65535");
-  INVERT(medium_count, UINT32_MAX + 1ull, COUNTS);
+  INVERT(medium_count, UINT32_MAX + 1ull,
+         "this is more than a frame holds: request less at a time");
 
   dipole_points *points;
   float power_W = 1;
@@ -440,7 +440,7 @@ UNIT_TEST(test_arguments) {
   VARYING(coefficients, 65536, "coefficients is a whole number from 0 to 65535");
   VARYING(colours, radii, "given has to be set with colours, and 0 without them");
   VARYING(sigma_s_per_mm, NULL, "sigma_s is NULL although its count is not 0");
-  VARYING(numbers, radii, COUNTS);
+  VARYING(numbers, radii, "u has 3 elements, where the other fields want 0");
 
   check_simple_result(peer_eval(client, &simple_query)); /* The client sent none of the above. */
   peer_finish(client);

@@ -405,10 +405,6 @@ UNIT_TEST(queries_of_other_media_are_refused) {
   assert_int_equal(result->notes, CORE_NOTE_GAMMA);
   dipole_varying_result_free(result);
 #define OTHER "the surface is not that of this query's model, moments, g, eta and parameters"
-#define NO_PAIRS                                                                                   \
-  "sigma_a_per_mm and sigma_s_per_mm, or colours and lengths_mm, are NULL although value_count "   \
-  "is "                                                                                            \
-  "not 0"
 #define WITH(field, value, why)                                                                    \
   do {                                                                                             \
     dipole_varying_query wrong = right;                                                            \
@@ -425,7 +421,7 @@ UNIT_TEST(queries_of_other_media_are_refused) {
   WITH(parameters, other, OTHER);
   WITH(parameter_count, 0, OTHER);
   WITH(parameter_count, 1, OTHER);
-  WITH(evaluator, DIPOLE_LUT, "evaluator is neither DIPOLE_F64 nor DIPOLE_F32");
+  WITH(evaluator, DIPOLE_LUT, "evaluator: allowed: f64 or f32");
   WITH(wanted, DIPOLE_RADIUS,
        "wanted: allowed: R, albedo, cdf, pdf, 2_pi_r_R, model_error of radii; with u r too; else "
        "albedo");
@@ -433,17 +429,16 @@ UNIT_TEST(queries_of_other_media_are_refused) {
        "wanted: allowed: R, albedo, cdf, pdf, 2_pi_r_R, model_error of radii; with u r too; else "
        "albedo");
   WITH(coefficients, 8, "coefficients: allowed: a sum of 1 (sigma_a), 2 (sigma_s), 4 (scattered)");
-  WITH(sigma_a_per_mm, NULL, NO_PAIRS);
-  WITH(colours, right.sigma_a_per_mm, NO_PAIRS);
+  WITH(sigma_a_per_mm, NULL, "sigma_a is NULL although its count is not 0");
+  WITH(colours, right.sigma_a_per_mm, "given has to be set with colours, and 0 without them");
   WITH(given, DIPOLE_MEAN_FREE_PATH, "given has to be set with colours, and 0 without them");
   WITH(light, DIPOLE_BEAM, "light: allowed: 0 where");
   WITH(specular, true, "specular: allowed: 0 where");
   WITH(radii, NULL,
        "wanted: allowed: R, albedo, cdf, pdf, 2_pi_r_R, model_error of radii; with u r too; else "
        "albedo");
-  WITH(numbers, right.radii, "both radii and numbers are given");
-  WITH(value_count, UINT64_MAX,
-       "18446744073709551615 values are more than a frame holds: request fewer at a time");
+  WITH(numbers, right.radii, "u has 2 elements, where the other fields want 0");
+  WITH(value_count, UINT64_MAX, "this is more than a frame holds: request less at a time");
 #undef WITH
   dipole_surface_free(surface);
   unmake(&of);
