@@ -292,8 +292,8 @@ def test_a_late_gather_whose_answer_waits_for_an_eval(daemon):
 
 
 def test_gathers_of_a_connection_wait_without_memory_of_their_own(daemon):
-    """A gather that is under way takes 1.7 MB. All are answered where there is room for few."""
-    one = daemon("--workers", "1", "--max-total-bytes", str(12 << 20))
+    """A gather that is under way takes 11.3 MB. All are answered where there is room for one."""
+    one = daemon("--workers", "1", "--max-total-bytes", str(16 << 20))
     points = scene(2000)
     with one.connect() as connection:
         send(connection, points)
