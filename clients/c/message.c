@@ -122,8 +122,11 @@ static bool is_reply_to(const libdipole_made *made, const schema_payload *reply,
        field++) {
     size_t own_at;
     const schema_field *own = schema_field_at(made->payload, field->name, &own_at);
-    good = own == NULL || own->bytes != field->bytes ||
-           memcmp(at, made->start + own_at, field->bytes) == 0;
+    /* a count may have other kinds in the two */
+    good = own == NULL ||
+           (own->bytes == field->bytes
+                ? memcmp(at, made->start + own_at, field->bytes) == 0
+                : schema_number_at(own, made->start + own_at) == schema_number_at(field, at));
     at += field->bytes;
   }
   return good;
