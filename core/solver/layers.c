@@ -874,6 +874,38 @@ static core_fault solved_or_fault(solver_layers **solution, solver_layers *made,
   return no_fault;
 }
 
+/* Adds grids of the levels from `first` on, while they promise to keep the tolerance and are not too
+ * dear. Returns false if memory runs out or the caller stops. */
+static bool add_grids(solver_layers *to, size_t first, size_t end, double tolerance,
+                      const core_isa *isa, const atomic_bool *stop) {
+  double worst[SIDES] = {INFINITY, INFINITY}, before[SIDES];
+  bool hopes = true;
+  for (size_t level = first; hopes && level < end; level++) {
+    double cost = level < COARSE ? (double)INFINITY : COST_MOST / tolerance;
+    if (!add_grid(to, level, isa, &cost, stop)) {
+      return level >= COARSE && isinf(cost);
+    }
+    if (level == first) {
+      continue;
+    }
+    memcpy(before, worst, sizeof before);
+    find_errors(to, worst, stop);
+    if (solver_stops(stop)) {
+      return false;
+    }
+    double most = tolerance;
+    for (size_t i = level + 1; i < end; i++) {
+      most *= GAIN;
+    }
+    hopes = false;
+    for (size_t side = 0; side < to->sides; side++) {
+      hopes |=
+          worst[side] < most && solver_goes_on(level + 1, worst[side], before[side], tolerance);
+    }
+  }
+  return true;
+}
+
 core_fault solver_layers_solve(solver_layers **solution, const core_isa *isa,
                                const solver_layer *layer, size_t count, double eta_below,
                                double tolerance, const atomic_bool *stop) {
@@ -883,39 +915,15 @@ core_fault solver_layers_solve(solver_layers **solution, const core_isa *isa,
     return fault.field != NULL ? fault : (core_fault){"tolerance", "not negative, finite", 0};
   }
   solver_layers *made = new_solution(layer, count, eta_below);
-  bool ok = made != NULL;
   double depth = 0;
   for (size_t i = 0; i < count; i++) {
     depth += (layer[i].sigma_a_per_mm + layer[i].sigma_s_per_mm) * layer[i].thickness_mm;
   }
-  size_t first = tolerance < 3e-3 || depth < THIN_FINE ? COARSE : 0;
-  size_t end = first == 0 || (made != NULL && has_indices(made)) ? GRIDS_MOST : LEVELS;
-  double worst[SIDES] = {INFINITY, INFINITY}, before[SIDES];
-  bool hopes = true;
-  for (size_t level = first; ok && hopes && level < end; level++) {
-    double cost = level < COARSE ? (double)INFINITY : COST_MOST / tolerance;
-    ok = add_grid(made, level, isa, &cost, stop);
-    if (!ok && level >= COARSE && isinf(cost)) {
-      /* Without two grids, those that are cheap are solved in their place. */
-      ok = true;
-      hopes = level < first + GRIDS;
-      end = COARSE;
-      first = 0;
-      level = SIZE_MAX; /* before 0 */
-    } else if (ok && level > first) {
-      memcpy(before, worst, sizeof before);
-      find_errors(made, worst, stop);
-      ok = !solver_stops(stop);
-      double most = tolerance;
-      for (size_t i = level + 1; i < end; i++) {
-        most *= GAIN;
-      }
-      hopes = false;
-      for (size_t side = 0; side < made->sides; side++) {
-        hopes |=
-            worst[side] < most && solver_goes_on(level + 1, worst[side], before[side], tolerance);
-      }
-    }
+  const size_t first = tolerance < 3e-3 || depth < THIN_FINE ? COARSE : 0;
+  const size_t end = first == 0 || (made != NULL && has_indices(made)) ? GRIDS_MOST : LEVELS;
+  bool ok = made != NULL && add_grids(made, first, end, tolerance, isa, stop);
+  if (ok && made->grid[1] == NULL) { /* those that are cheap, in place of two that are too dear */
+    ok = add_grids(made, 0, COARSE, tolerance, isa, stop);
   }
   return solved_or_fault(solution, made, ok, stop);
 }

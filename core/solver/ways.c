@@ -129,20 +129,22 @@ void solver_ways_find(ways *to, const stack_layer *layer, size_t layers, double 
 
 /* ---- values ----------------------------------------------------------------------------------------- */
 
-/* A ray's directions in all layers, by Snell's law. */
+/* A ray's directions in all layers, by Snell's law: above the stack, in each layer, below. */
 struct ray {
-  /* cosines: above the stack, in each layer, below; 0 where total reflection leaves no ray */
-  double mu[SOLVER_LAYERS_MAX + 2];
+  double mu[SOLVER_LAYERS_MAX + 2];   /* cosines; 0 where total reflection leaves no ray */
+  double sine[SOLVER_LAYERS_MAX + 2]; /* that of mu, but where a cosine has lost its digits */
 };
+
+#define SINE_SMALL 1e-5
 
 static struct ray ray_at(const ways *of, size_t layer, double x) {
   struct ray ray;
   const double sine = of->layer[layer].index * x / sqrt(1 + x * x);
   for (size_t i = 0; i < of->layers + 2; i++) {
     const double s = sine / index_of(of, (ptrdiff_t)i - 1);
-    ray.mu[i] = s < 1 ? sqrt((1 - s) * (1 + s)) : 0;
+    ray.mu[i] = i == layer + 1 ? 1 / sqrt(1 + x * x) : s < 1 ? sqrt((1 - s) * (1 + s)) : 0;
+    ray.sine[i] = s < SINE_SMALL ? s : sqrt((1 - ray.mu[i]) * (1 + ray.mu[i]));
   }
-  ray.mu[layer + 1] = 1 / sqrt(1 + x * x);
   return ray;
 }
 
@@ -154,8 +156,8 @@ static double length_of(const ways *of, const ways_path *way, double x) {
   for (size_t i = 0; i < of->layers; i++) {
     const double mu = ray.mu[i + 1];
     if (way->full[i] > 0) {
-      sum += mu > 0 ? way->full[i] * of->layer[i].thickness * sqrt((1 - mu) * (1 + mu)) / mu
-                    : (double)INFINITY;
+      sum +=
+          mu > 0 ? way->full[i] * of->layer[i].thickness * ray.sine[i + 1] / mu : (double)INFINITY;
     }
   }
   const bool leaves = ray.mu[way->side == 0 ? 0 : of->layers + 1] > 0;
@@ -189,11 +191,10 @@ static double light_at(const ways *of, const ways_path *way, double u, double r)
   const stack_layer *own = &of->layer[way->layer];
   const struct ray ray = ray_at(of, way->layer, x);
   const double mu = ray.mu[way->layer + 1];
-  /* a cosine next to 1 has lost the digits of a sine below 1e-8 */
-  const double h = fmin(own->thickness, fmax(0, r - length_of(of, way, x)) / x);
+  const double h = fmax(0, r - length_of(of, way, x)) / x;
   const solver_phase phase = {.g = own->g};
   const size_t left = of->reflections_most - way->reflections;
-  const double z = way->upwards ? h : own->thickness - h;
+  const double z = fmax(0, way->upwards ? h : own->thickness - h);
   double lit = of->down[way->layer][left] > 0
                    ? of->down[way->layer][left] * fn_exp(-own->extinction * z) *
                          solver_phase_at(&phase, way->upwards ? -mu : mu)
@@ -271,7 +272,7 @@ double complex solver_ways_onwards(const ways *of, double complex k) {
                         : 0;
           if (j < of->layers && passes > 0) {
             depth += of->layer[j].extinction * of->layer[j].thickness * (1 / mu2 - 1);
-            lateral += of->layer[j].thickness * sqrt((1 - mu2) * (1 + mu2)) / mu2;
+            lateral += of->layer[j].thickness * ray.sine[j + 1] / mu2;
           }
         }
         if (passes > 0) {
