@@ -237,12 +237,12 @@ static bool lay_blocks(struct packed *series, bool is_total, const uint8_t *coun
   return series->weight != NULL && series->groups != NULL;
 }
 
-/* Reads all series of one side. Returns false if memory runs out. */
-static bool pack_side(const uint8_t **at, int side, struct packed series[SERIES_MAX]) {
-  const size_t most = (size_t)BLOCKS_MAX * TERMS_MAX, totals = number_of_totals(side);
-  uint8_t *count = calloc(most, 1);
-  uint16_t *rank = malloc(most * sizeof *rank);
-  bool good = count != NULL && rank != NULL;
+/* Reads all series of one side. count: zeros for the blocks of all i, which it leaves so; rank: as many.
+ * Returns false if memory runs out. */
+static bool pack_side(const uint8_t **at, int side, struct packed series[SERIES_MAX],
+                      uint8_t *count, uint16_t *rank) {
+  const size_t totals = number_of_totals(side);
+  bool good = true;
   for (size_t n = 0; n < totals + PANELS && good; n++) {
     const bool is_total = n < totals;
     const uint8_t *again = *at;
@@ -255,8 +255,6 @@ static bool pack_side(const uint8_t **at, int side, struct packed series[SERIES_
       memset(&count[i * BLOCKS_MAX], 0, series[n].blocks_end);
     }
   }
-  free(count);
-  free(rank);
   return good;
 }
 
@@ -271,11 +269,17 @@ bool transport_table_open(transport_table *table, const uint8_t *bytes, size_t l
     table->field[i] = number_at(bytes + 24 + 8 * i);
   }
   const uint8_t *at = bytes + TRANSPORT_TABLE_HEADER_BYTES;
+  /* All sides share these: whoever frees such blocks and takes others has to clear their pages anew. */
+  const size_t most = (size_t)BLOCKS_MAX * TERMS_MAX;
+  uint8_t *count = calloc(most, 1);
+  uint16_t *rank = malloc(most * sizeof *rank);
   table->packed = calloc(1, sizeof *table->packed);
-  bool good = table->packed != NULL;
+  bool good = count != NULL && rank != NULL && table->packed != NULL;
   for (int side = 0; side < 2 * SIDES && good; side++) {
-    good = pack_side(&at, side, table->packed->series[side]);
+    good = pack_side(&at, side, table->packed->series[side], count, rank);
   }
+  free(count);
+  free(rank);
   if (!good) {
     transport_table_close(table);
   }

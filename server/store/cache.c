@@ -478,13 +478,8 @@ void cache_free(struct cache *cache) {
     return;
   }
   stop_threads(cache);
-  for (size_t i = 0; i < BUCKETS; i++) {
-    struct cache_entry *entry;
-    while ((entry = LIST_FIRST(&cache->buckets[i])) != NULL) {
-      assert(!entry->under_way && atomic_load(&entry->references) == 1);
-      LIST_REMOVE(entry, in_bucket);
-      cache_release(entry);
-    }
+  for (size_t i = 0; i < LISTS; i++) { /* hold all entries, since none is under way */
+    release_all(&cache->lists[i].entries);
   }
   for (size_t i = 0; i < CACHE_LANES; i++) {
     uv_cond_destroy(&cache->lanes[i].changed);
