@@ -122,7 +122,7 @@ check-bits: $(BUILD)/tests/bits ## the recorded bits from each instruction set
 check-bits-aarch64:
 	@sh tests/run-bits.sh $(BUILD) aarch64
 
-PYTEST = env TESTED_BUILD=$(abspath $(BUILD)) PYTHONPATH=clients/python:tests/e2e PYTHONDONTWRITEBYTECODE=1 $(PYTHON) -m pytest -q -rfEs -p no:cacheprovider
+PYTEST = env TESTED_BUILD=$(abspath $(BUILD)) PYTHONPATH=clients/python:tests/e2e PYTHONDONTWRITEBYTECODE= PYTHONPYCACHEPREFIX=$(abspath $(BUILD))/pycache $(PYTHON) -m pytest -q -rfEs -p no:cacheprovider
 
 # Those that need much beside the programs: a browser, systemd, containers, HAProxy, masters of Modbus.
 SERVICES := $(addprefix tests/e2e/test_,balancer.py container.py install.py modbus_clients.py page.py robustness.py units.py)

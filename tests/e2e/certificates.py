@@ -34,11 +34,12 @@ class Authority:
         hosts: str = "DNS:localhost,IP:127.0.0.1",
         days: int = 30,
         lines: str = "",
+        subject: str | None = None,
     ) -> tuple[str, str]:
         """Makes a certificate that is good for these hosts, and its key. days: may be negative for
-        one that has expired. lines: more lines of openssl's extensions."""
+        one that has expired. lines: more lines of openssl's extensions. subject: unless it is the name."""
         pem, key, asked = (self.folder / f"{name}.{end}" for end in ("pem", "key", "csr"))
-        openssl("req", *EC, "-keyout", key, "-out", asked, "-subj", f"/CN={name}")
+        openssl("req", *EC, "-keyout", key, "-out", asked, "-subj", f"/CN={subject or name}")
         extensions = self.folder / f"{name}.cnf"
         extensions.write_text(f"subjectAltName={hosts}\n{lines}\n")
         made = ["-CA", self.pem, "-CAkey", self._key, "-CAcreateserial", "-extfile", extensions]

@@ -2,6 +2,7 @@
 
 import csv
 import fcntl
+import functools
 import io
 import json
 import os
@@ -16,7 +17,7 @@ import threading
 import time
 from pathlib import Path
 
-from daemons import BUILD, environment
+from daemons import BUILD, Daemon, environment
 from dipole import wire
 from frames import EVAL, frame
 
@@ -27,6 +28,13 @@ OK, FAILED, USAGE, BAD_ROWS = 0, 1, 2, 3
 
 COMMANDS_WITH_MODELS = ("eval", "plot", "points", "sample", "invert", "fit", "table")
 NAMES_ITS_MODEL = ("--model", "--tolerance", "--help")
+
+
+@functools.cache
+def shared() -> Daemon:
+    """Returns the daemon that commands ask which name none: a private one each would start and solve
+    for itself. It looks for no lost memory, which makes solving slow."""
+    return Daemon(env={"LD_PRELOAD": ""})
 
 
 def of_better(arguments: tuple[str, ...]) -> list[str]:
@@ -47,14 +55,14 @@ def dipole(
     cwd: Path | None = None,
     usual: bool = False,
 ) -> subprocess.CompletedProcess[str]:
-    """Runs a command, by default with a private daemon, and checks its exit status. quiet: also
+    """Runs a command, by default with the shared daemon, and checks its exit status. quiet: also
     checks that a command that succeeds writes nothing to standard error. usual: leaves the choice
     of the model to the command; see of_better()."""
     run = subprocess.run(
         [str(PROGRAM), *(arguments if usual else of_better(arguments))],
         input=stdin.encode() if isinstance(stdin, str) else stdin,
         capture_output=True,
-        env=environment(**(env or {})),
+        env=environment(**{"DIPOLED": shared().url(), **(env or {})}),
         timeout=TIMEOUT_S,
         check=False,
         cwd=cwd,
@@ -98,7 +106,7 @@ class Terminal:
     ):
         self.fd, other = pty.openpty()
         fcntl.ioctl(other, termios.TIOCSWINSZ, struct.pack("HHHH", *size, 0, 0))
-        variables = environment(**{"TERM": "xterm-256color", **env})
+        variables = environment(**{"TERM": "xterm-256color", "DIPOLED": shared().url(), **env})
         if "NO_COLOR" not in env:
             variables.pop("NO_COLOR", None)
         ends = {0: stdin, 1: subprocess.PIPE, 2: subprocess.PIPE} | dict.fromkeys(on, other)

@@ -12,24 +12,17 @@ import re
 from pathlib import Path
 
 import pytest
-from daemons import BUILD, REPOSITORY, Daemon, environment, finished
+from command_line import shared
+from daemons import BUILD, REPOSITORY, environment, finished
 
 FOLDER = REPOSITORY / "tests/cli"
 NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?")
 
 
-@pytest.fixture(scope="module")
-def url():
-    """Returns the address of a daemon that looks for no lost memory, which makes solving slow."""
-    one = Daemon(env={"LD_PRELOAD": ""})
-    yield one.url()
-    one.close()
-
-
-def run(command: str, folder: Path, url: str) -> list[str]:
+def run(command: str, folder: Path) -> list[str]:
     """Returns what a command prints, as a file has it. Memory that `dipole` loses is an error, too."""
     path = f"{BUILD}/leaks:{BUILD}:{os.environ['PATH']}"
-    env = environment(PATH=path, NO_COLOR="1", DIPOLED=url)
+    env = environment(PATH=path, NO_COLOR="1", DIPOLED=shared().url())
     done = finished("sh", "-c", command, cwd=folder, env=env)
     assert "Sanitizer" not in done.stderr, done.stderr
     lines = done.stdout.splitlines() + [f"! {line}" for line in done.stderr.splitlines()]
@@ -58,14 +51,14 @@ def matches(expected: list[str], lines: list[str]) -> bool:
 
 
 @pytest.mark.parametrize("file", sorted(FOLDER.glob("*.t")), ids=lambda file: file.stem)
-def test_commands(file, tmp_path, url):
+def test_commands(file, tmp_path):
     blocks = re.split(r"^(?=\$ )", file.read_text(), flags=re.M)
     faults, made = [], blocks[:1]
     for block in blocks[1:]:
         lines = [line for line in block.splitlines() if not line.startswith("## ")]
         while lines[-1] == "":
             lines.pop()
-        printed = run(lines[0][2:], tmp_path, url)
+        printed = run(lines[0][2:], tmp_path)
         kept = matches(lines[1:], printed)
         comments = [line for line in block.splitlines() if line.startswith("## ")]
         made.append("\n".join([*(lines if kept else [lines[0], *printed]), "", *comments, ""]))

@@ -26,7 +26,7 @@ def test_a_private_daemon_serves_nobody_else(daemon, tmp_path):
     one = daemon("--modbus", "tcp:127.0.0.1:0", "--metrics", "127.0.0.1:0")
     line = next(line for line in map(read_log_line, one.log) if line.get("event") == "metrics")
     taken = line["url"].removeprefix("http://").split("/")[0]
-    env = {"DIPOLED_LISTEN": f"unix:{tmp_path}/s", "DIPOLED_METRICS": taken, "DIPOLED_HTTP": taken}
+    env = {"DIPOLED": "private:", "DIPOLED_LISTEN": f"unix:{tmp_path}/s", "DIPOLED_METRICS": taken, "DIPOLED_HTTP": taken}
     dipole("media", env={**env, "DIPOLED_MODBUS": one.url("modbus-tcp").removeprefix("modbus-")})
     assert not (tmp_path / "s").exists()
 

@@ -2,13 +2,15 @@
 them."""
 
 import os
+import platform
 import re
+import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 from command_line import eval_rows
-from daemons import BUILD, REPOSITORY, sanitized
+from daemons import BUILD, REPOSITORY, finished, sanitized
 from installing import make, needs, run
 
 PREFIX = "/usr/local"
@@ -146,6 +148,27 @@ LANGUAGES = {
     "c": ["cc", "-std=c17", *STRICT],
     "cc": ["c++", "-std=c++17", *STRICT],
 }
+
+
+@pytest.mark.skipif(
+    platform.machine() != "x86_64" or not Path("/usr/include/x86_64-linux-gnu/gnu/stubs-32.h").exists(),
+    reason="the headers for 32 bits are not installed",
+)
+def test_programs_compile_for_32_bits():
+    files = [
+        path
+        for folder in ("proto", "server", "clients/c", "clients/cli")
+        for path in sorted((REPOSITORY / folder).rglob("*.c"))
+        if not {"tools", "examples", "page.c"} & set(path.parts)
+    ]
+    packages = subprocess.run(
+        ["pkg-config", "--cflags", "libmodbus"], capture_output=True, text=True, check=True
+    )
+    options = ["-m32", "-idirafter", "/usr/include/x86_64-linux-gnu", *packages.stdout.split()]
+    options += ["-std=c17", "-Wall", "-Wextra", "-Wno-missing-field-initializers", "-Werror", "-D_GNU_SOURCE", "-DDIPOLED_VERSION=\"\""]
+    command = ["gcc", *options, "-I.", "-fsyntax-only", *files]
+    done = finished(*command, cwd=REPOSITORY)
+    assert done.returncode == 0, done.stderr
 
 
 def pkg_config(tree: Path, *options: str) -> list[str]:

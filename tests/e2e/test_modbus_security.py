@@ -1,6 +1,7 @@
 """MODBUS/TCP Security (MB-TCP-Security-v36): who gets in, what a role may do, and what TLS has to
 be like. tests/promises.txt says which test holds which MUST."""
 
+import functools
 import re
 import socket
 import ssl
@@ -8,7 +9,7 @@ import struct
 
 import pytest
 from certificates import EC, Authority, openssl
-from daemons import finished, run
+from daemons import Daemon, finished, run
 from modbus_master import (
     AT, BAD_FUNCTION, Exception_, Lost, Tcp, as_floats, input_block, write_read_pdu,
 )
@@ -45,23 +46,32 @@ def server(authority):
     return certificate, key
 
 
+def options_of(authority, server, folder, rules: str = RULES) -> list[str]:
+    """Returns the options of a daemon: with the rules, unless they are empty."""
+    (folder / "rules").write_text(rules)
+    given = ["--roles", str(folder / "rules")] if rules else []
+    return ["--modbus", TLS, "--certificate", server[0], "--key", server[1], "--client-ca", str(authority.pem), *given]
+
+
 @pytest.fixture
 def slave(daemon, authority, server, tmp_path):
-    """Returns a function that starts a daemon: with the rules, unless they are empty."""
-
-    def start(*options: str, rules: str = RULES):
-        (tmp_path / "rules").write_text(rules)
-        given = ["--roles", str(tmp_path / "rules")] if rules else []
-        files = ["--certificate", server[0], "--key", server[1], "--client-ca", str(authority.pem)]
-        return daemon("--modbus", TLS, *files, *given, *options)
-
-    return start
+    """Returns a function that starts a daemon."""
+    return lambda *options, **how: daemon(*options_of(authority, server, tmp_path, **how), *options)
 
 
+@pytest.fixture(scope="module")
+def usual(authority, server, tmp_path_factory):
+    """Returns a daemon with the rules, for tests that leave it as it is."""
+    one = Daemon(*options_of(authority, server, tmp_path_factory.mktemp("rules")))
+    yield one
+    one.close()
+
+
+@functools.cache
 def person(authority, name: str, role: str | None = None, days: int = 30) -> tuple[str, str]:
     """Returns the certificate and the key of a master."""
     lines = f"{ROLE}UTF8String:{role}" if role else ""
-    return authority.sign(name, lines=lines, days=days)
+    return authority.sign(f"{name}-{role}-{days}", lines=lines, days=days, subject=name)
 
 
 def port_of(one) -> int:
@@ -226,11 +236,10 @@ def asked(master: Tcp) -> list[int]:
 
 
 @pytest.mark.parametrize("role", OF_ROLE)
-def test_what_a_role_may_do(slave, authority, role):
+def test_what_a_role_may_do(usual, authority, role):
     """Functions that the rules do not allow get exception 01, also where there is no
     role."""
-    one = slave()
-    with Secure(one, authority, person(authority, "m", role)) as master:
+    with Secure(usual, authority, person(authority, "m", role)) as master:
         assert asked(master) == OF_ROLE[role]
         for function, fields, right in (
             (1, (0, 100), "read"), (4, (420, 2), "read"), (5, (0, 0), "write"),
@@ -240,12 +249,11 @@ def test_what_a_role_may_do(slave, authority, role):
             may = {"Engineer": "read write", "Operator": "read", "Writer": "write"}.get(role, "")
             assert outcome(master, pdu) == (0 if right in may else BAD_FUNCTION)
     if any(OF_ROLE[role]):
-        assert one.has_line("event=modbus-request-refused")
+        assert usual.has_line("event=modbus-request-refused")  # not each: it logs some of a second
 
 
-def test_a_subject_has_rights_too(slave, authority):
-    one = slave()
-    with Secure(one, authority, person(authority, "clock")) as master:
+def test_a_subject_has_rights_too(usual, authority):
+    with Secure(usual, authority, person(authority, "clock")) as master:
         assert asked(master) == OF_ROLE["Operator"]
 
 
@@ -264,10 +272,9 @@ def test_subjects_beyond_ascii(slave, authority, tmp_path, written):
 
 
 @pytest.mark.parametrize("value", ["INTEGER:1", "IA5String:Engineer", "OCTETSTRING:Engineer"])
-def test_a_role_is_a_utf8_string(slave, authority, value):
+def test_a_role_is_a_utf8_string(usual, authority, value):
     """A role of another type is no role."""
-    one = slave()
-    with Secure(one, authority, authority.sign("odd", lines=ROLE + value)) as master:
+    with Secure(usual, authority, authority.sign("odd", lines=ROLE + value)) as master:
         assert asked(master) == OF_ROLE[None]
 
 
@@ -278,18 +285,16 @@ def test_a_role_is_a_utf8_string(slave, authority, value):
      ("0C:07:57:72:69:74:65:72:00", False), ("0C:07:57:72:69:74:65:72", False)],
     ids=["DER", "long length", "more behind it", "in parts", "with a zero", "cut"],
 )
-def test_a_role_is_one_string_in_der(slave, authority, value, good):
+def test_a_role_is_one_string_in_der(usual, authority, value, good):
     """Writer in another encoding, which another reader may take for another role, is no role."""
-    one = slave()
     lines = ROLE.removesuffix("ASN1:") + f"DER:{value}"
-    with Secure(one, authority, authority.sign("odd", lines=lines)) as master:
+    with Secure(usual, authority, authority.sign("odd", lines=lines)) as master:
         assert outcome(master, struct.pack(">BHH", 6, 101, 2)) == (0 if good else BAD_FUNCTION)
 
 
-def test_the_role_of_another_extension_is_none(slave, authority):
-    one = slave()
+def test_the_role_of_another_extension_is_none(usual, authority):
     lines = "1.3.6.1.4.1.50316.802.2=ASN1:UTF8String:Engineer"
-    with Secure(one, authority, authority.sign("near", lines=lines)) as master:
+    with Secure(usual, authority, authority.sign("near", lines=lines)) as master:
         assert asked(master) == OF_ROLE[None]
 
 
@@ -354,12 +359,12 @@ def test_no_older_version_is_negotiated(slave, authority, old):
         "ECDHE-ECDSA-NULL-SHA", "AES128-SHA256", "ECDHE-ECDSA-AES128-SHA256", "aNULL",
     ],
 )  # fmt: skip
-def test_ciphers_that_are_refused(slave, authority, cipher):
+def test_ciphers_that_are_refused(usual, authority, cipher):
     """Neither MD5 nor SHA-1 nor nothing as hash, nor nothing as cipher."""
-    one, files = slave(), person(authority, "m")
+    files = person(authority, "m")
     listed = f"{cipher}:@SECLEVEL=0"
-    assert "Cipher is (NONE)" in s_client(one, "-tls1_2", "-cipher", listed, *files_of(authority, files)) or (
-        "no cipher match" in s_client(one, "-tls1_2", "-cipher", listed, *files_of(authority, files))
+    assert "Cipher is (NONE)" in s_client(usual, "-tls1_2", "-cipher", listed, *files_of(authority, files)) or (
+        "no cipher match" in s_client(usual, "-tls1_2", "-cipher", listed, *files_of(authority, files))
     )
 
 
@@ -386,40 +391,39 @@ def test_the_ciphers_that_must_be_there(slave, daemon, authority, tmp_path, key)
 
 
 @pytest.mark.parametrize("length", [512, 1024, 2048, 4096])
-def test_fragments_may_be_short(slave, authority, length):
+def test_fragments_may_be_short(usual, authority, length):
     """A master asks for short records, and the daemon agrees."""
-    one, files = slave(), person(authority, "m", "Engineer")
+    files = person(authority, "m", "Engineer")
     words = ["-tls1_2", "-maxfraglen", length, "-tlsextdebug"]
-    said = s_client(one, *words, *files_of(authority, files))
+    said = s_client(usual, *words, *files_of(authority, files))
     agreed = re.search(r'extension "max fragment length" \(id=1\), len=1\n0000 - 0(\d)', said)
     assert agreed and 256 << int(agreed[1]) == length
 
 
-def test_renegotiation_is_indicated_and_refused(slave, authority):
-    one, files = slave(), person(authority, "m")
-    said = s_client(one, "-tls1_2", *files_of(authority, files), said="R\n")
+def test_renegotiation_is_indicated_and_refused(usual, authority):
+    files = person(authority, "m")
+    said = s_client(usual, "-tls1_2", *files_of(authority, files), said="R\n")
     assert "Secure Renegotiation IS supported" in said
     assert "no renegotiation" in said
 
 
 @pytest.mark.parametrize("version", ["-tls1_2", "-tls1_3"])
-def test_no_session_is_resumed(slave, authority, tmp_path, version):
-    one, files = slave(), person(authority, "m")
-    said = s_client(one, version, "-reconnect", *files_of(authority, files))
+def test_no_session_is_resumed(usual, authority, tmp_path, version):
+    files = person(authority, "m")
+    said = s_client(usual, version, "-reconnect", *files_of(authority, files))
     assert "New, TLSv1" in said and "Reused, TLSv1" not in said
 
 
-def test_the_whole_chain_is_sent(slave, authority):
+def test_the_whole_chain_is_sent(usual, authority):
     """The certificate, and that of its CA."""
-    one, files = slave(), person(authority, "m")
-    said = s_client(one, "-showcerts", *files_of(authority, files))
+    files = person(authority, "m")
+    said = s_client(usual, "-showcerts", *files_of(authority, files))
     assert said.count("-----BEGIN CERTIFICATE-----") == 2
     assert "0 s:CN = server" in said and "1 s:CN = ca" in said
     assert "Verify return code: 0 (ok)" in said
 
 
-def test_the_certificate_is_asked_for(slave, authority):
-    one = slave()
-    said = s_client(one, "-tls1_2", "-msg", "-CAfile", authority.pem)
+def test_the_certificate_is_asked_for(usual, authority):
+    said = s_client(usual, "-tls1_2", "-msg", "-CAfile", authority.pem)
     assert "CertificateRequest" in said
     assert "Acceptable client certificate CA names\nCN = ca" in said

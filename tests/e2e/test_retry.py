@@ -18,7 +18,7 @@ from daemons import BUILD, NOWHERE, PROGRAM, Daemon, eventually, finished, nowhe
 from frames import EVAL, SKIN, SPECTRALON, R, eval_payload, frame
 
 RETRY_S = 60.0
-RESTARTS = 4
+RESTARTS = 2
 
 
 class Restarted:

@@ -1,7 +1,5 @@
 """tests/structure.py finds circles of includes, and documents and rules that are too long."""
 
-import platform
-import subprocess
 import sys
 from pathlib import Path
 
@@ -32,27 +30,6 @@ def test_a_circle_is_named(tmp_path, folder):
     assert report(tmp_path) == (1, [f"modules include each other: {circle}"])
     (tmp_path / folder / "c.def").unlink()
     assert report(tmp_path) == (0, [])
-
-
-@pytest.mark.skipif(
-    platform.machine() != "x86_64" or not Path("/usr/include/x86_64-linux-gnu/gnu/stubs-32.h").exists(),
-    reason="the headers for 32 bits are not installed",
-)
-def test_programs_compile_for_32_bits():
-    files = [
-        path
-        for folder in ("proto", "server", "clients/c", "clients/cli")
-        for path in sorted((REPOSITORY / folder).rglob("*.c"))
-        if not {"tools", "examples", "page.c"} & set(path.parts)
-    ]
-    packages = subprocess.run(
-        ["pkg-config", "--cflags", "libmodbus"], capture_output=True, text=True, check=True
-    )
-    options = ["-m32", "-idirafter", "/usr/include/x86_64-linux-gnu", *packages.stdout.split()]
-    options += ["-std=c17", "-Wall", "-Wextra", "-Wno-missing-field-initializers", "-Werror", "-D_GNU_SOURCE", "-DDIPOLED_VERSION=\"\""]
-    command = ["gcc", *options, "-I.", "-fsyntax-only", *files]
-    done = finished(*command, cwd=REPOSITORY)
-    assert done.returncode == 0, done.stderr
 
 
 def test_what_is_too_long_is_named(tmp_path):
