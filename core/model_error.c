@@ -42,13 +42,17 @@ static double larger(double a, double b) {
 }
 
 /* Returns the largest of errors by band at these radii. A radius within SLACK of an edge is in the band
- * above it if it is the least, in the band below if it is the largest. */
+ * above it if it is the least, in the band below if it is the largest; if it is both, the smaller error
+ * holds, so that more radii never state less. */
 static double largest(const double *errors, size_t bands, const core_medium *medium,
                       core_radii_range radii) {
   const double sigma_t_prime = core_sigma_t_prime(medium);
   const double most = radii.most_mm * sigma_t_prime * (1 - SLACK);
   size_t band = band_of(radii.least_mm * sigma_t_prime * (1 + SLACK), bands);
   double error = errors[band];
+  if (band > 0 && core_error_edges_mfp[band] >= most) {
+    error = fmin(error, errors[band - 1]);
+  }
   while (band + 1 < bands && core_error_edges_mfp[band + 1] < most) {
     error = larger(error, errors[++band]);
   }
@@ -163,7 +167,7 @@ core_radii_range core_errors_alike(const core_profile *profile, double r_mm) {
   const double mfp_mm = 1 / core_sigma_t_prime(&profile->medium);
   const size_t band = band_of(r_mm / mfp_mm * (1 + SLACK), CORE_ERROR_BANDS);
   const double most = band + 1 < CORE_ERROR_BANDS ? edges[band + 1] * (1 - 2 * SLACK) : INFINITY;
-  const double least = band > 0 ? edges[band] : CORE_RADIUS_SMALL_MFP;
+  const double least = band > 0 ? edges[band] * (1 + 2 * SLACK) : CORE_RADIUS_SMALL_MFP;
   const core_radii_range alike = {real_max(least * mfp_mm, CORE_RADIUS_SMALL_MM),
                                   real_min(most * mfp_mm, profile->reach.most_mm)};
   return r_mm >= alike.least_mm && r_mm <= alike.most_mm ? alike : (core_radii_range){1, 0};

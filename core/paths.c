@@ -94,24 +94,28 @@ core_continuation core_continue_to(const core_nodes *of, double complex u) {
 }
 
 /* R e^(-b u) over that at the middle node is about 1 at all nodes. */
-core_continued core_continue(const core_nodes *of, const core_continuation *to, const double *ln_R,
-                             size_t stride) {
+void core_continue(const core_nodes *of, const core_continuation to[2], const double *ln_R,
+                   size_t stride, core_continued at[2]) {
   const unsigned last = of->count - 1, middle = of->count / 2;
   const double b = (ln_R[0] - ln_R[last * stride]) / (of->u[0] - of->u[last]);
   double value[NODES];
-  double complex sum = 0;
-  core_continued at;
   for (unsigned j = 0; j <= last; j++) {
     const double moved = ln_R[j * stride] - ln_R[middle * stride] - b * (of->u[j] - of->u[middle]);
     value[j] = fn_exp(fmin(moved, 700));
-    sum += to->weight[j] * value[j];
   }
-  at.is_known = fn_norm2(sum) > DBL_MIN && (cimag(to->u) != 0 || creal(sum) > DBL_MIN);
-  at.ln_R = at.is_known ? ln_R[middle * stride] + b * (to->u - of->u[middle]) + fn_clog(sum) : 0;
-  for (unsigned j = 0; j <= last; j++) {
-    at.relative[j] = at.is_known ? value[j] * fn_inverse(sum) : 0;
+  for (int k = 0; k < 2; k++) {
+    double complex sum = 0;
+    for (unsigned j = 0; j <= last; j++) {
+      sum += to[k].weight[j] * value[j];
+    }
+    at[k].is_known = fn_norm2(sum) > DBL_MIN && (cimag(to[k].u) != 0 || creal(sum) > DBL_MIN);
+    const double complex moved = b * (to[k].u - of->u[middle]);
+    at[k].ln_R = at[k].is_known ? ln_R[middle * stride] + moved + fn_clog(sum) : 0;
+    const double complex over = at[k].is_known ? fn_inverse(sum) : 0;
+    for (unsigned j = 0; j <= last; j++) {
+      at[k].relative[j] = value[j] * over;
+    }
   }
-  return at;
 }
 
 /* -arg R in degrees, or |R| over that without modulation; 0 where it is not known. */
@@ -129,14 +133,6 @@ struct both {
 static struct both both_of(const core_modulation *of) {
   return (struct both){
       {core_continue_to(&of->nodes, of->there), core_continue_to(&of->nodes, of->here)}};
-}
-
-/* Continues value i. */
-static void continue_both(const core_modulation *of, const struct both *to, const double *ln_R,
-                          core_continued at[2]) {
-  for (int k = 0; k < 2; k++) {
-    at[k] = core_continue(&of->nodes, &to->to[k], ln_R, CHUNK);
-  }
 }
 
 static bool is_of_waves(enum core_quantity quantity) {
@@ -180,7 +176,7 @@ void core_modulation_eval(const core_profile *profile, enum core_quantity quanti
       double value = is_phase || (nodes > 0 && ln_R[i] < 0) ? 0 : 1;
       if (nodes > 0 && is_finite(of, ln_R + i)) {
         core_continued at[2];
-        continue_both(of, &to, ln_R + i, at);
+        core_continue(&of->nodes, to.to, ln_R + i, CHUNK, at);
         value = value_of(at, is_phase);
       }
       out[done + i] = value;
@@ -190,15 +186,16 @@ void core_modulation_eval(const core_profile *profile, enum core_quantity quanti
 
 /* ---- errors ---------------------------------------------------------------------------------- */
 
-/* The radii at which the error of an interpolation is found; by how much they go beyond those of the
- * request, because the last terms of the series are 0 at some radii; and what is stated over what is
- * found. */
-enum { PLACES = 33 };
+/* The error of an interpolation is found at radii of one lattice, this far apart in ln r, so that more
+ * radii never state less; by how much they go beyond those of the request, because the last terms of the
+ * series are 0 at some radii; and what is stated over what is found. */
+#define STEP 0.03
 #define AROUND 1.3
 #define MARGIN 3
 /* Radii are at least this many mean free paths, and frequencies this share of the light's decay per mm,
  * as nearer to 0 nothing changes. */
 #define NEAREST 1e-3
+#define FARTHEST 1e103 /* over the nearest */
 /* An interpolation with a larger relative error is not trusted to know it. */
 #define UNKNOWN 0.05
 /* The derivatives of paths where sigma_a is low: the sum of the sizes of their terms that do not grow
@@ -242,54 +239,68 @@ double core_continued_error(const core_nodes *nodes, bool is_angle,
   return known ? sum + MARGIN * cut : (double)INFINITY;
 }
 
-/* Sets the errors of ln R at the nodes. ln_R: at the radius or frequency of which it is. */
+/* Sets the errors of ln R at the nodes; of R(f) over the albedo if `waves`. */
 static void find_node_errors(const core_modulation *of, bool waves, core_radii_range radii,
-                             const double *ln_R, double error[NODES]) {
+                             double error[NODES]) {
   for (unsigned j = 0; j < of->nodes.count; j++) {
-    const core_profile *node = &of->node[j];
-    const core_stated_errors stated =
-        core_profile_errors(node, waves ? CORE_QUANTITY_TRANSFER : CORE_QUANTITY_LN_R, radii);
-    error[j] =
-        1e-12 + (waves ? stated.numerical * node->albedo * fn_exp(fmin(-ln_R[j * CHUNK], 700))
-                       : stated.numerical + stated.numerical_per_mm * radii.most_mm);
+    const core_stated_errors stated = core_profile_errors(
+        &of->node[j], waves ? CORE_QUANTITY_TRANSFER : CORE_QUANTITY_LN_R, radii);
+    error[j] = stated.numerical + (waves ? 0 : stated.numerical_per_mm * radii.most_mm);
   }
+}
+
+/* Returns the error at a radius or frequency of this ln R, of which `error` is as found above. */
+static double modulated_error_at(const core_profile *profile, enum core_quantity quantity,
+                                 const struct both *to, const double *ln_R, const double *error) {
+  const core_modulation *of = profile->modulation;
+  const core_continuation *const u[2] = {&to->to[0], &to->to[1]};
+  const bool waves = is_of_waves(quantity), is_phase = is_phase_of(quantity);
+  double of_ln_R[NODES];
+  for (unsigned j = 0; j < of->nodes.count; j++) {
+    of_ln_R[j] =
+        1e-12 + error[j] * (waves ? of->node[j].albedo * fn_exp(fmin(-ln_R[j * CHUNK], 700)) : 1);
+  }
+  core_continued at[2];
+  core_continue(&of->nodes, to->to, ln_R, CHUNK, at);
+  const double value = value_of(at, is_phase);
+  const double off = core_continued_error(&of->nodes, is_phase, u, at, of_ln_R);
+  const double rounded = profile->evaluator == CORE_EVALUATOR_F64 ? 0 : (double)FLT_EPSILON;
+  return (is_phase || isinf(off) ? off * (180 / FN_PI) : off * value) + rounded * fabs(value);
 }
 
 static double modulated_error(const core_profile *profile, enum core_quantity quantity,
                               core_radii_range radii) {
-  const bool waves = is_of_waves(quantity), is_phase = is_phase_of(quantity);
+  const bool waves = is_of_waves(quantity);
   const core_modulation *of = profile->modulation;
   if (of == NULL || of->nodes.count == 0 || radii.least_mm > radii.most_mm) {
     return 0;
   }
   const struct both to = both_of(of);
-  const core_continuation *const u[2] = {&to.to[0], &to.to[1]};
-  double error[NODES], ln_R[NODES * CHUNK], r[PLACES];
+  double error[NODES], ln_R[NODES * CHUNK], r[CHUNK];
+  find_node_errors(of, waves, radii, error);
   const double sigma_t_prime = core_sigma_t_prime(&profile->medium);
   const double near =
       NEAREST * (waves ? fn_abs(of->there) * sqrt(sigma_t_prime) : 1 / sigma_t_prime);
-  const double least = fmax(radii.least_mm, near) / AROUND, most_mm = fmax(radii.most_mm, near);
-  const double step = fn_log(most_mm * AROUND / least) / (PLACES - 1);
-  for (int i = 0; i < PLACES; i++) {
-    r[i] = least * fn_exp(step * i);
-  }
-  look_at(of, waves, PLACES, r, ln_R);
-  double most = 0;
-  for (int i = 0; i < PLACES; i++) {
-    if (!is_finite(of, ln_R + i)) {
-      most = waves ? (double)INFINITY : most; /* R(f) is lost in its errors */
-    } else {
-      core_continued at[2];
-      continue_both(of, &to, ln_R + i, at);
-      find_node_errors(of, waves, radii, ln_R + i, error);
-      const double value = value_of(at, is_phase);
-      const double off = core_continued_error(&of->nodes, is_phase, u, at, error);
-      const double rounded = profile->evaluator == CORE_EVALUATOR_F64 ? 0 : (double)FLT_EPSILON;
-      most = fmax(most, (is_phase || isinf(off) ? off * (180 / FN_PI) : off * value) +
-                            rounded * fabs(value));
+  const double nearest = fmin(fmax(radii.least_mm / near, 1), FARTHEST);
+  const double farthest = fmin(fmax(radii.most_mm / near, 1), FARTHEST);
+  const double least = floor(fn_log(nearest / AROUND) / STEP);
+  const double most = ceil(fn_log(farthest * AROUND) / STEP);
+  double largest = 0;
+  for (double first = least; first <= most && largest < (double)INFINITY; first += CHUNK) {
+    const size_t count = (size_t)fmin(most - first + 1, CHUNK);
+    for (size_t i = 0; i < count; i++) {
+      r[i] = near * fn_exp(STEP * (first + (double)i));
+    }
+    look_at(of, waves, count, r, ln_R);
+    for (size_t i = 0; i < count; i++) {
+      if (is_finite(of, ln_R + i)) {
+        largest = fmax(largest, modulated_error_at(profile, quantity, &to, ln_R + i, error));
+      } else if (waves) {
+        return (double)INFINITY; /* R(f) is lost in its errors */
+      }
     }
   }
-  return most;
+  return largest;
 }
 
 /* Returns what multiplies the errors of a derivative that is in proportion to sigma_a: the sum of the

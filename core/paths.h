@@ -65,8 +65,8 @@ core_nodes core_nodes_around(bool few, double least, double complex u);
 core_continuation core_continue_to(const core_nodes *nodes, double complex u);
 
 /* ln_R: that at node j is ln_R[j * stride]. */
-core_continued core_continue(const core_nodes *nodes, const core_continuation *to,
-                             const double *ln_R, size_t stride);
+void core_continue(const core_nodes *nodes, const core_continuation to[2], const double *ln_R,
+                   size_t stride, core_continued at[2]);
 
 /* Returns the error of the angle of R at u[0], or of ln |R| there; if u[1] is not NULL less ln R
  * there. at: what is continued to the two; error[j]: that of ln R at node j. */

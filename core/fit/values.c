@@ -313,9 +313,7 @@ static bool continue_reading(const struct fit_places *places, const struct at_no
     const double complex u = core_modulated_u(nodes->sigma_a_per_mm, wavenumber[i]);
     one->to[0] = core_continue_to(&nodes->nodes, u);
   }
-  for (int k = 0; k < 2; k++) {
-    one->at[k] = core_continue(&nodes->nodes, &one->to[k], &nodes->ln_R[0][i], READINGS);
-  }
+  core_continue(&nodes->nodes, one->to, &nodes->ln_R[0][i], READINGS, one->at);
   return one->at[0].is_known && one->at[1].is_known;
 }
 

@@ -402,24 +402,3 @@ UNIT_TEST(an_index_scales_the_frequency_and_the_time) {
   core_profile_free(&one);
   core_profile_free(&other);
 }
-
-UNIT_TEST(equal_layers_lag_as_their_half_space) {
-  if (!unit_is_long()) {
-    return;
-  }
-  const core_medium stack[] = {{0.02, 1, 0, 1.4, 3}, {0.02, 1, 0, 1.4, 0}};
-  core_profile whole = prepared(CORE_MODEL_TRANSPORT, CORE_EVALUATOR_F64, &stack[1], 1, 150);
-  core_profile cut = prepared(CORE_MODEL_TRANSPORT, CORE_EVALUATOR_F64, stack, 2, 150);
-  for (double r = 1; r < 20; r *= 2) {
-    for (int i = 0; i < 2; i++) {
-      const enum core_quantity quantity = i == 0 ? CORE_QUANTITY_PHASE : CORE_QUANTITY_MODULATION;
-      const double truth = value_at(&whole, quantity, r), value = value_at(&cut, quantity, r);
-      const double error = stated(&cut, quantity, r);
-      print_message("%g mm: %.5f, whole %.5f, stated %.2g\n", r, value, truth, error);
-      expect("layers", r, value, truth, error + stated(&whole, quantity, r));
-      assert_true(error < (i == 0 ? 0.25 : 0.0025) * (r < 2 ? 1.2 : 1));
-    }
-  }
-  core_profile_free(&whole);
-  core_profile_free(&cut);
-}

@@ -19,8 +19,8 @@
  * absorptions; that of `transport`, with g = 0, with tests/accuracy/isotropic/ continued from 12. Half
  * spaces of any g are compared with layers that they are cut into; with --odd, rounds have nothing but
  * layers at the limits of what is taken. Besides values the rounds check
- * samples (core_sample), inversions (invert_albedo), that a cdf never falls once it is 1, and the stated
- * errors of models against solutions of transport.
+ * samples (core_sample), inversions (invert_albedo), that a cdf never falls once it is 1, that a range
+ * states no less than a radius in it, and the stated errors of models against solutions of transport.
  *
  * Before the rounds it replays tests/accuracy/known.csv: values that were once further off than
  * their profile stated, and what a round is too rare to meet. A row has the request, its right value
@@ -81,6 +81,7 @@ enum check {
   INVERSION,
   MODEL_ERROR,
   TOLERANCE, /* a table states no more than was asked for */
+  RANGE,     /* more radii state no less */
   LAYERS,    /* equal layers are their half space */
   ODD_LAYERS,
   PATH_LENGTH,
@@ -107,6 +108,7 @@ static const char *const check_names[CHECKS] = {
     [INVERSION] = "inversion",
     [MODEL_ERROR] = "model error",
     [TOLERANCE] = "tolerance",
+    [RANGE] = "range",
     [LAYERS] = "layers",
     [ODD_LAYERS] = "odd layers",
     [PATH_LENGTH] = "path",
@@ -410,6 +412,25 @@ static void check_end(const struct subject *s, enum evaluator e, uint64_t *rando
   }
 }
 
+/* A range states no less of any quantity than a radius in it, which may be the edge of a band. */
+static void check_range(const struct subject *s, enum evaluator e, const core_profile *profile,
+                        uint64_t *random) {
+  const double mfp_mm = 1 / core_sigma_t_prime(&profile->medium);
+  for (const core_choice *quantity = core_quantities; quantity->name != NULL; quantity++) {
+    const double mfp = below(random, 4) ? log_between(random, 1e-3, 1e3)
+                                        : core_error_edges_mfp[below(random, CORE_ERROR_BANDS)];
+    const double r = mfp * mfp_mm;
+    const core_radii_range range = {below(random, 3) ? r / log_between(random, 1, 100) : r,
+                                    below(random, 3) ? r * log_between(random, 1, 100) : r};
+    const core_stated_errors all = core_profile_errors(profile, quantity->id, range),
+                             one = core_profile_errors(profile, quantity->id,
+                                                       (core_radii_range){r, r});
+    count(s, e, RANGE,
+          one.numerical <= all.numerical && one.numerical_per_mm <= all.numerical_per_mm, 0, r,
+          all.numerical, one.numerical);
+  }
+}
+
 /* ---- samples and inversions ---------------------------------------------------------------------- */
 
 /* The cdf at a sampled radius is the number that it was sampled for, and more of that is never a
@@ -596,6 +617,7 @@ static void check_modulated(struct subject *s, uint64_t *random) {
         compare_light(&light, e, (waves ? PHASE_F : PHASE) + angle, x[i / 2], truth[angle][i / 2],
                       unsure);
       }
+      check_range(&light, e, &light.profiles[e], random);
       core_profile_free(&light.profiles[e]);
     }
   }
@@ -654,7 +676,8 @@ static void check_layers(struct subject *s, uint64_t *random) {
     }
   }
   while (ready > 0) {
-    core_profile_free(&profiles[--ready]);
+    check_range(s, F64, &profiles[--ready], random);
+    core_profile_free(&profiles[ready]);
   }
 }
 
@@ -1059,6 +1082,7 @@ static void compare_subject(struct subject *s, uint64_t *random) {
     }
     if (s->ready[e] && e != FINE) {
       check_end(s, e, random);
+      check_range(s, e, &s->profiles[e], random);
       if (s->form.known) {
         check_samples(s, e, random);
       }
