@@ -19,8 +19,8 @@ signal.signal(signal.SIGHUP, signal.SIG_DFL)
 # The files that take longest. They begin first, so that parallel processes end at about the same
 # time.
 SLOWEST = [
-    *("balancer", "page", "retry", "cli_plot", "modbus_jobs", "tls", "robustness"),
-    *("figures", "gather", "mc", "fair_preparation", "overload"),
+    *("balancer", "page", "messages", "cli", "retry", "cli_bake", "http", "tls", "modbus_jobs", "robustness"),
+    *("figures", "python_client", "cache", "readme", "gather", "layers", "mc", "fair_preparation", "overload"),
 ]
 
 

@@ -81,8 +81,9 @@ BALANCE = QUANTITIES["balance"]  # of transport alone
 
 @functools.cache
 def asked() -> dipole.Client:
-    """Returns a client of a separate daemon, which answers questions about models."""
-    daemon = Daemon()
+    """Returns a client of a separate daemon, which answers questions about models. It looks for no lost
+    memory, which makes solving slow."""
+    daemon = Daemon(env={"LD_PRELOAD": ""})
     atexit.register(daemon.close)
     client = daemon.client()
     atexit.register(client.close)
@@ -113,11 +114,12 @@ def medium_for(model: str, medium: Sequence[float] = SKIN) -> dipole.Medium:
 
 @functools.cache
 def takes(model: str) -> tuple[str, ...]:
-    """Returns the names of the parameters that a model takes."""
+    """Returns the names of the parameters that a model takes. The deadline saves solutions: what is
+    taken is late, or answered."""
     taken = []
     for name in PARAMETERS:
         try:
-            asked().eval(model, medium_for(model), wanted=["albedo"], parameters={name: some_value(name)})
+            asked().eval(model, medium_for(model), wanted=["albedo"], deadline_ms=1, parameters={name: some_value(name)})
         except dipole.Refused as refusal:
             if refusal.field == name and refusal.allowed == "nothing: this model does not take it":
                 continue

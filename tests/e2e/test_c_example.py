@@ -55,11 +55,11 @@ def installed(tmp_path_factory) -> Installed:
     return Installed(tmp_path_factory.mktemp("root"))
 
 
-@pytest.fixture
-def irradiance(installed, tmp_path) -> Path:
+@pytest.fixture(scope="module")
+def irradiance(installed, tmp_path_factory) -> Path:
     """Compiles the example. Returns the program."""
     source = REPOSITORY / "clients/c/examples/irradiance.c"
-    program = tmp_path / "irradiance"
+    program = tmp_path_factory.mktemp("example") / "irradiance"
     warnings = ["-Wall", "-Wextra", "-Wconversion", "-Werror", "-pedantic"]
     installed.compile(["cc", "-std=c17", "-O2", *warnings], source, program)
     return program

@@ -16,8 +16,7 @@ from daemons import environment
 rng = np.random.default_rng(43)
 MEDIA = [
     {"scattered": float(rng.uniform(0.3, 0.999)), "path": float(rng.uniform(0.2, 3)), "g": g, "eta": eta}
-    for g in (0, 0.8)
-    for eta in (1, 1.33, 1.4, 1.5)
+    for g, eta in ((0, 1), (0, 1.4), (0.8, 1.33), (0.8, 1.5))
 ]
 NAMES = [f"{one['scattered']:.3f} g {one['g']} eta {one['eta']}" for one in MEDIA]
 
@@ -181,20 +180,20 @@ def test_pictures_have_the_rows(kind, formats, tmp_path):
         assert values.reshape(rows.shape) == pytest.approx(rows[::-1], rel=1e-6)
 
 
-@pytest.mark.parametrize("kind", ["kernel", "burley", "gaussians", "lut", "profile", "colour-map"])
-def test_headers_compile(kind, tmp_path):
-    of = ["colour-map"] if kind == "colour-map" else [kind, "--medium", "skin1"]
-    (tmp_path / "baked.h").write_text(dipole("bake", *of).stdout)
-    (tmp_path / "use.c").write_text(
-        '#include <stdio.h>\n#include "baked.h"\nint main(void) { printf("%g", (double)baked[0][0]); }\n'
-    )
+def test_headers_compile(tmp_path):
+    kinds, text = ["kernel", "burley", "gaussians", "lut", "profile", "colour-map"], "#include <stdio.h>\n"
+    for i, kind in enumerate(kinds):
+        of = [] if kind == "colour-map" else ["--medium", "skin1"]
+        (tmp_path / f"{i}.h").write_text(dipole("bake", kind, *of).stdout)
+        text += f'#define baked baked_{i}\n#include "{i}.h"\n#undef baked\n'
+    shown = " && ".join(f'printf("%g ", (double)baked_{i}[0][0])' for i in range(len(kinds)))
+    (tmp_path / "use.c").write_text(f"{text}int main(void) {{ return !({shown}); }}\n")
     command = ["gcc", "-std=c99", "-Wall", "-Wextra", "-Werror", "-o", "use", "use.c"]
     subprocess.run(command, cwd=tmp_path, check=True)
-    assert subprocess.run([str(tmp_path / "use")], check=True, capture_output=True).stdout
+    assert len(subprocess.run([str(tmp_path / "use")], check=True, capture_output=True).stdout.split()) == len(kinds)
 
 
-MAPS = [(light, g, eta) for light in ("beam", "diffuse") for g, eta in ((0, 1.33), (0.5, 1.5), (0.8, 1))]
-MAPS += [("beam", 0.9, 1.4), ("diffuse", -0.3, 1.6)]
+MAPS = [("beam", 0, 1.33), ("diffuse", 0.8, 1), ("beam", 0.9, 1.4), ("diffuse", -0.3, 1.6)]
 
 
 @pytest.mark.parametrize("light, g, eta", MAPS)

@@ -37,6 +37,7 @@ def test_parameters_reach_the_model(client, model):
     rows = eval_rows(
         *[*MEDIUM, "--model", model, "--r", "0.5,2", "--wanted", "R,S,2_pi_r_R,albedo"],
         *[*options(given), "--evaluator", "f64", "--thickness", str(thickness(model))],
+        *["--connect", client.info.address],  # which solves once for both
     )
     answer = client.eval(
         model,

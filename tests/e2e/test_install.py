@@ -4,13 +4,14 @@ them."""
 import os
 import platform
 import re
+import shutil
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 from command_line import eval_rows
-from daemons import BUILD, REPOSITORY, finished, sanitized
+from daemons import BUILD, REPOSITORY, environment, finished, sanitized
 from installing import make, needs, run
 
 PREFIX = "/usr/local"
@@ -169,6 +170,19 @@ def test_programs_compile_for_32_bits():
     command = ["gcc", *options, "-I.", "-fsyntax-only", *files]
     done = finished(*command, cwd=REPOSITORY)
     assert done.returncode == 0, done.stderr
+
+
+def test_the_environment_of_the_readme(tmp_path):
+    """As `pip` alone installs nothing for Debian's Python. The packages that build the module are
+    those of the system."""
+    command = re.search(r"`(python3 -m venv .*?)`", (REPOSITORY / "README.md").read_text())[1]
+    command = command.replace("~/", f"{tmp_path}/").replace("python3", sys.executable)
+    shutil.copytree(REPOSITORY / "clients/python", tmp_path / "clients/python")
+    command = command.replace("pip install", "pip install --quiet --no-build-isolation --no-index")
+    subprocess.run(["sh", "-c", command], cwd=tmp_path, check=True)
+    program = "import dipole, sys; print(dipole.__file__.startswith(sys.prefix))"
+    python = [f"{tmp_path}/dipole/bin/python", "-c", program]
+    assert subprocess.run(python, env=environment(PYTHONPATH=""), capture_output=True).stdout == b"True\n"
 
 
 def pkg_config(tree: Path, *options: str) -> list[str]:

@@ -380,26 +380,13 @@ def test_daemon_of_a_clone(tmp_path):
     assert not (tmp_path / "s").exists()
 
 
-def test_the_environment_of_the_readme(tmp_path):
-    """As `pip` alone installs nothing for Debian's Python. The packages that build the module are
-    those of the system."""
-    command = re.search(r"`(python3 -m venv .*?)`", (REPOSITORY / "README.md").read_text())[1]
-    command = command.replace("~/", f"{tmp_path}/").replace("python3", sys.executable)
-    shutil.copytree(REPOSITORY / "clients/python", tmp_path / "clients/python")
-    command = command.replace("pip install", "pip install --quiet --no-build-isolation --no-index")
-    subprocess.run(["sh", "-c", command], cwd=tmp_path, check=True)
-    program = "import dipole, sys; print(dipole.__file__.startswith(sys.prefix))"
-    python = [f"{tmp_path}/dipole/bin/python", "-c", program]
-    assert subprocess.run(python, env=environment(PYTHONPATH=""), capture_output=True).stdout == b"True\n"
-
-
 def test_errors_of_a_private_daemon_appear(tmp_path):
     run = run_in_clone(tmp_path, True, DIPOLED_WORKERS="many")
     assert run.returncode != 0 and "many" in run.stderr.splitlines()[0]
 
 
-@pytest.mark.parametrize("closing", ["<&-", ">&- 2>&-", "<&- >&- 2>&-"])
-@pytest.mark.parametrize("address", ["private:", "unix", "tcp"])
+@pytest.mark.parametrize("address, closing", [("private:", "<&-"), ("unix", ">&- 2>&-"),
+                                              *((one, "<&- >&- 2>&-") for one in ("private:", "tcp"))])  # fmt: skip
 def test_no_socket_gets_the_number_of_a_closed_standard_stream(shared, tmp_path, closing, address):
     """What a program in C, or a child, writes to its standard output must not reach the daemon."""
     address = f"private:{PROGRAM}" if address == "private:" else shared.url(address)

@@ -197,8 +197,7 @@ def test_an_inversion_of_a_texture(client):
         client.invert("better", 0.1, 1.0, given="paths")
 
 
-@pytest.mark.parametrize("light", ["beam", "diffuse"])
-@pytest.mark.parametrize("specular", [False, True])
+@pytest.mark.parametrize("light, specular", [("beam", True), ("diffuse", False)])
 def test_an_inversion_means_what_varying_means(client, light, specular):
     colours, lengths = np.array([0.3, 0.9]), np.array([1.0, 0.25])
     asked = {"given": "extinction-path", "light": light, "specular": specular, "g": 0.9, "eta": 1.5}
