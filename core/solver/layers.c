@@ -204,7 +204,8 @@ static bool find_rate(struct grid *to, const struct solver_layers *of, const cor
 /* A layer of this depth or more, below a film at most, is like a half space: X differs by less than
  * about e^(-k depth), which goes on as from k = like_most / depth. Below LIKE_FROM, relative to
  * its extinction, all functions of angle are as good. The half space's are of the first level that
- * is for LIKE_FINE times its largest k. */
+ * is for LIKE_FINE times its largest k. Under a film X differs by 1 % at k of 9 to 18 still: the
+ * finer grids end at different k, as they would guess alike beyond. */
 #define LIKE_DEPTH 0.5
 #define LIKE_DEPTH_ENDS 1.5
 #define FILM_DEPTH 0.1
