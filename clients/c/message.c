@@ -1,5 +1,6 @@
 #include "clients/c/message.h"
 
+#include <assert.h>
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
@@ -112,24 +113,41 @@ bool libdipole_make(libdipole_made *made, const schema_payload *payload, const d
   return check_counts(made, error);
 }
 
+enum { REPLY_START_MAX_BYTES = 512 };
+
+/* The longest reply of which the daemon alone counts elements: more than its lists and tables take. */
+#define UNASKED_MAX_BYTES ((uint64_t)1 << 26)
+
+/* Sets those fields with which a reply begins that are the request's by their names. */
+static void repeat_fields(const libdipole_made *made, const schema_payload *reply, uint8_t *start) {
+  assert(reply->fixed_bytes <= REPLY_START_MAX_BYTES);
+  for (const schema_field *field = reply->structures[0]->fields; field->name != NULL; field++) {
+    size_t at;
+    const schema_field *own = schema_field_at(made->payload, field->name, &at);
+    if (own != NULL) {
+      schema_put_number(field, schema_number_at(own, made->start + at), start);
+    }
+    start += field->bytes;
+  }
+}
+
+static uint64_t longest_reply(const libdipole_made *made, const schema_payload *reply) {
+  uint8_t start[REPLY_START_MAX_BYTES];
+  memset(start, 0xff, sizeof start);
+  repeat_fields(made, reply, start);
+  const uint64_t bytes = schema_bytes(reply, start);
+  return bytes <= UINT32_MAX ? bytes : UNASKED_MAX_BYTES;
+}
+
 /* Returns whether a reply has its length and repeats the request's fields of the same names. */
 static bool is_reply_to(const libdipole_made *made, const schema_payload *reply,
                         const libdipole_frame *frame) {
   schema_layout layout;
-  const uint8_t *at = frame->payload;
-  bool good = schema_is_whole(reply, frame->payload, frame->payload_bytes, &layout);
-  for (const schema_field *field = reply->structures[0]->fields; good && field->name != NULL;
-       field++) {
-    size_t own_at;
-    const schema_field *own = schema_field_at(made->payload, field->name, &own_at);
-    /* a count may have other kinds in the two */
-    good = own == NULL ||
-           (own->bytes == field->bytes
-                ? memcmp(at, made->start + own_at, field->bytes) == 0
-                : schema_number_at(own, made->start + own_at) == schema_number_at(field, at));
-    at += field->bytes;
-  }
-  return good;
+  uint8_t start[REPLY_START_MAX_BYTES];
+  memcpy(start, frame->payload, reply->fixed_bytes);
+  repeat_fields(made, reply, start);
+  return schema_is_whole(reply, frame->payload, frame->payload_bytes, &layout) &&
+         memcmp(start, frame->payload, reply->fixed_bytes) == 0;
 }
 
 bool dipole_call(dipole_client *client, const char *message, const dipole_field *fields,
@@ -145,11 +163,13 @@ bool dipole_call(dipole_client *client, const char *message, const dipole_field 
   libdipole_pending pending = {.kind = &libdipole_plain,
                                .type = (uint16_t)found->type,
                                .deadline_ms = deadline_ms,
-                               .reply_bytes_min = found->reply->fixed_bytes,
-                               .reply_bytes_max = UINT32_MAX};
+                               .reply_bytes_min = found->reply->fixed_bytes};
   libdipole_frame *frame = NULL;
-  if (!libdipole_make(&made, found->request, fields, field_count, error) ||
-      !libdipole_request_put(client, &pending, made.payload, made.start, made.parts, error) ||
+  if (!libdipole_make(&made, found->request, fields, field_count, error)) {
+    return false;
+  }
+  pending.reply_bytes_max = longest_reply(&made, found->reply);
+  if (!libdipole_request_put(client, &pending, made.payload, made.start, made.parts, error) ||
       (frame = libdipole_reply(client, &pending, error)) == NULL) {
     return false;
   }

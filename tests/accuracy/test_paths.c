@@ -17,25 +17,10 @@ static const core_medium tissue = {0.01, 1, 0, 1.4, 0};
 static core_profile prepared(unsigned model, unsigned evaluator, const core_medium *medium,
                              uint32_t layers, double mhz) {
   core_parameters parameters = core_parameters_none();
-  core_profile profile;
   parameters.layer_count = layers;
   parameters.value[CORE_PARAMETER_DERIVATIVES] = core_has_derivatives(model) ? 1 : (double)NAN;
   parameters.value[CORE_PARAMETER_MHZ] = mhz;
-  unit_assert_fault(core_profile_prepare(&profile, core_isa_select(NULL), model, CORE_MOMENTS_EXACT,
-                                         evaluator, medium, &parameters),
-                    NULL, 0);
-  return profile;
-}
-
-static double value_at(const core_profile *profile, enum core_quantity quantity, double r) {
-  double value;
-  float near = (float)r, single;
-  if (profile->evaluator == CORE_EVALUATOR_F64) {
-    core_eval_f64(profile, quantity, 1, &r, &value);
-    return value;
-  }
-  core_eval_f32(profile, quantity, 1, &near, &single);
-  return (double)single;
+  return unit_profile(model, evaluator, medium, &parameters);
 }
 
 static double stated(const core_profile *profile, enum core_quantity quantity, double r) {
@@ -127,11 +112,11 @@ static struct ring mean_of(const core_profile *profile, double middle_mm) {
   transport_gauss(&rule, 4);
   for (size_t i = 0; i < rule.n; i++) {
     const double r = middle_mm * (RING_LEAST + (RING_MOST - RING_LEAST) * rule.x[i]);
-    const double R = rule.weight[i] * r * value_at(profile, CORE_QUANTITY_R, r);
-    const double phase = value_at(profile, CORE_QUANTITY_PHASE, r) * (PI / 180);
+    const double R = rule.weight[i] * r * unit_value_at(profile, CORE_QUANTITY_R, r);
+    const double phase = unit_value_at(profile, CORE_QUANTITY_PHASE, r) * (PI / 180);
     to.weight += R;
-    to.path += R * value_at(profile, CORE_QUANTITY_PATH, r);
-    to.wave += R * value_at(profile, CORE_QUANTITY_MODULATION, r) * cexp(-I * phase);
+    to.path += R * unit_value_at(profile, CORE_QUANTITY_PATH, r);
+    to.wave += R * unit_value_at(profile, CORE_QUANTITY_MODULATION, r) * cexp(-I * phase);
   }
   return to;
 }
@@ -194,11 +179,11 @@ UNIT_TEST(path_factors_are_near_those_of_diffusion) {
       prepared(CORE_MODEL_TRANSPORT, CORE_EVALUATOR_F64, &medium, 1, (double)NAN);
   for (double r = 20; r <= 40; r += 10) {
     const double diffusion = 0.5 * sqrt(3 * 1 / 0.01) * (1 - 1 / (1 + r * sqrt(3 * 0.01 * 1)));
-    const double dpf = value_at(&profile, CORE_QUANTITY_DPF, r);
+    const double dpf = unit_value_at(&profile, CORE_QUANTITY_DPF, r);
     expect("dpf", r, dpf, diffusion, 0.05 * diffusion);
-    const double path = value_at(&profile, CORE_QUANTITY_PATH, r);
+    const double path = unit_value_at(&profile, CORE_QUANTITY_PATH, r);
     expect("path", r, path, dpf * r, 1e-12 * path);
-    expect("time", r, value_at(&profile, CORE_QUANTITY_TIME, r), path * 1.4 / 0.299792458,
+    expect("time", r, unit_value_at(&profile, CORE_QUANTITY_TIME, r), path * 1.4 / 0.299792458,
            1e-12 * path);
   }
   core_profile_free(&profile);
@@ -245,10 +230,11 @@ static void expect_dipoles(bool striped) {
         turn += phase < before - PI ? 2 * PI : 0;
         phase += phase < before - PI ? 2 * PI : 0;
         before = phase;
-        const double off[2] = {fabs(value_at(&profile, phase_of, r) - phase * (180 / PI)),
-                               fabs(value_at(&profile, modulation_of, r) - cabs(R))};
+        const double off[2] = {fabs(unit_value_at(&profile, phase_of, r) - phase * (180 / PI)),
+                               fabs(unit_value_at(&profile, modulation_of, r) - cabs(R))};
         const double error[2] = {stated(&profile, phase_of, r), stated(&profile, modulation_of, r)};
-        expect("R", r, value_at(&profile, striped ? CORE_QUANTITY_TRANSFER : CORE_QUANTITY_R, r),
+        expect("R", r,
+               unit_value_at(&profile, striped ? CORE_QUANTITY_TRANSFER : CORE_QUANTITY_R, r),
                creal(white), 1e-12 * creal(white));
         worst = fmax(worst, fmax(off[0] / (error[0] + 1e-12), off[1] / (error[1] + 1e-14)));
         if (m == 0 && mhz[f] <= 1000 && r < (striped ? 0.2 : 60)) {
@@ -283,13 +269,13 @@ UNIT_TEST(striped_light_lags_as_the_transform_of_what_leaves_at_radii) {
     for (int i = 0; i < STEPS; i++) {
       const double step = log(250 / 1e-4) / STEPS, r = 1e-4 * exp(step * i);
       const double R =
-          value_at(&profile, CORE_QUANTITY_R, r) * 2 * PI * r * r * step * j0(2 * PI * f * r);
-      const double phase = value_at(&profile, CORE_QUANTITY_PHASE, r) * (PI / 180);
-      sum += R * value_at(&profile, CORE_QUANTITY_MODULATION, r) * cexp(-I * phase);
+          unit_value_at(&profile, CORE_QUANTITY_R, r) * 2 * PI * r * r * step * j0(2 * PI * f * r);
+      const double phase = unit_value_at(&profile, CORE_QUANTITY_PHASE, r) * (PI / 180);
+      sum += R * unit_value_at(&profile, CORE_QUANTITY_MODULATION, r) * cexp(-I * phase);
       white += R;
     }
-    const double phase = value_at(&profile, CORE_QUANTITY_PHASE_F, f);
-    const double modulation = value_at(&profile, CORE_QUANTITY_MODULATION_F, f);
+    const double phase = unit_value_at(&profile, CORE_QUANTITY_PHASE_F, f);
+    const double modulation = unit_value_at(&profile, CORE_QUANTITY_MODULATION_F, f);
     print_message("f %g: %.5f degrees, %.5f by quadrature, stated %.1e; m %.6f, %.6f\n", f, phase,
                   -carg(sum) * (180 / PI), stated(&profile, CORE_QUANTITY_PHASE_F, f), modulation,
                   cabs(sum / white));
@@ -308,12 +294,12 @@ UNIT_TEST(phases_of_tissue_are_those_that_are_known) {
     core_profile profile = prepared(CORE_MODEL_TRANSPORT, evaluator, &tissue, 1, 100);
     for (size_t i = 0; i < sizeof known / sizeof known[0]; i++) {
       const double r = known[i][0];
-      expect("phase", r, value_at(&profile, CORE_QUANTITY_PHASE, r), known[i][1],
+      expect("phase", r, unit_value_at(&profile, CORE_QUANTITY_PHASE, r), known[i][1],
              i < 3 ? 0.01 : 0.05);
-      expect("modulation", r, value_at(&profile, CORE_QUANTITY_MODULATION, r), known[i][2],
+      expect("modulation", r, unit_value_at(&profile, CORE_QUANTITY_MODULATION, r), known[i][2],
              i < 3 ? 2.5e-4 : 1e-3);
-      expect("path", r, value_at(&profile, CORE_QUANTITY_PATH, r),
-             value_at(&profile, CORE_QUANTITY_TIME, r) * 0.299792458 / 1.4,
+      expect("path", r, unit_value_at(&profile, CORE_QUANTITY_PATH, r),
+             unit_value_at(&profile, CORE_QUANTITY_TIME, r) * 0.299792458 / 1.4,
              stated(&profile, CORE_QUANTITY_PATH, r));
     }
     core_profile_free(&profile);
@@ -354,8 +340,8 @@ UNIT_TEST(paths_reach_their_limit_without_absorption) {
     for (unsigned evaluator = CORE_EVALUATOR_F64; evaluator <= CORE_EVALUATOR_LUT; evaluator++) {
       core_profile profile = prepared(known[i].model, evaluator, &medium, 1, (double)NAN);
       const double error = stated(&profile, CORE_QUANTITY_PATH, r);
-      expect("path", r, value_at(&profile, CORE_QUANTITY_PATH, r), path, error + 1e-15 * path);
-      expect("dpf", r, value_at(&profile, CORE_QUANTITY_DPF, r), path / r,
+      expect("path", r, unit_value_at(&profile, CORE_QUANTITY_PATH, r), path, error + 1e-15 * path);
+      expect("dpf", r, unit_value_at(&profile, CORE_QUANTITY_DPF, r), path / r,
              stated(&profile, CORE_QUANTITY_DPF, r) + 1e-15 * path / r);
       assert_true(isfinite(stated(&profile, CORE_QUANTITY_DPF, 1e300)));
       assert_true(error > 0 && error < (evaluator == CORE_EVALUATOR_F64 ? 1e-9 : 1e-3) * path);
@@ -370,16 +356,16 @@ UNIT_TEST(slow_modulation_lags_by_the_mean_path) {
   for (size_t m = 0; m < sizeof models / sizeof models[0]; m++) {
     core_profile profile = prepared(models[m], CORE_EVALUATOR_F64, &tissue, 1, 0.1);
     for (double r = 0.5; r < 40; r *= 2) {
-      const double path = value_at(&profile, CORE_QUANTITY_PATH, r);
+      const double path = unit_value_at(&profile, CORE_QUANTITY_PATH, r);
       const double lag = wavenumber(0.1, 1.4) * (180 / PI);
-      expect("phase", r, value_at(&profile, CORE_QUANTITY_PHASE, r), lag * path,
+      expect("phase", r, unit_value_at(&profile, CORE_QUANTITY_PHASE, r), lag * path,
              lag * stated(&profile, CORE_QUANTITY_PATH, r) +
                  stated(&profile, CORE_QUANTITY_PHASE, r) + 1e-5 * lag * path);
     }
     core_profile_free(&profile);
     profile = prepared(models[m], CORE_EVALUATOR_F64, &tissue, 1, 0);
-    assert_true(value_at(&profile, CORE_QUANTITY_PHASE, 5) == 0);
-    assert_true(value_at(&profile, CORE_QUANTITY_MODULATION, 5) == 1);
+    assert_true(unit_value_at(&profile, CORE_QUANTITY_PHASE, 5) == 0);
+    assert_true(unit_value_at(&profile, CORE_QUANTITY_MODULATION, 5) == 1);
     core_profile_free(&profile);
   }
 }
@@ -387,18 +373,15 @@ UNIT_TEST(slow_modulation_lags_by_the_mean_path) {
 /* The index of the light's speed is a number of its own. */
 UNIT_TEST(an_index_scales_the_frequency_and_the_time) {
   core_parameters parameters = core_parameters_none();
-  core_profile one = prepared(CORE_MODEL_BETTER, CORE_EVALUATOR_F64, &tissue, 1, 200), other;
+  core_profile one = prepared(CORE_MODEL_BETTER, CORE_EVALUATOR_F64, &tissue, 1, 200);
   parameters.value[CORE_PARAMETER_INDEX] = 2.8;
   parameters.value[CORE_PARAMETER_MHZ] = 100;
   parameters.value[CORE_PARAMETER_DERIVATIVES] = 1;
-  unit_assert_fault(core_profile_prepare(&other, core_isa_select(NULL), CORE_MODEL_BETTER,
-                                         CORE_MOMENTS_EXACT, CORE_EVALUATOR_F64, &tissue,
-                                         &parameters),
-                    NULL, 0);
-  expect("phase", 10, value_at(&other, CORE_QUANTITY_PHASE, 10),
-         value_at(&one, CORE_QUANTITY_PHASE, 10), 1e-9);
-  expect("time", 10, value_at(&other, CORE_QUANTITY_TIME, 10),
-         2 * value_at(&one, CORE_QUANTITY_TIME, 10), 1e-9);
+  core_profile other = unit_profile(CORE_MODEL_BETTER, CORE_EVALUATOR_F64, &tissue, &parameters);
+  expect("phase", 10, unit_value_at(&other, CORE_QUANTITY_PHASE, 10),
+         unit_value_at(&one, CORE_QUANTITY_PHASE, 10), 1e-9);
+  expect("time", 10, unit_value_at(&other, CORE_QUANTITY_TIME, 10),
+         2 * unit_value_at(&one, CORE_QUANTITY_TIME, 10), 1e-9);
   core_profile_free(&one);
   core_profile_free(&other);
 }
