@@ -149,7 +149,7 @@ def test_a_lost_frame_drops_the_job(daemon):
 
 @pytest.mark.parametrize("how", [signal.SIGTERM, signal.SIGINT])
 def test_stopping_ends_jobs_with_what_there_is(daemon, how):
-    one = daemon("--max-mc-jobs", "6", "--drain-timeout-ms", "5000")
+    one = daemon("--max-mc-jobs", "6", "--drain-timeout-ms", "60000")
     connections = [one.connect(scheme) for scheme in ("unix", "tcp") * 3]
     for connection in connections:
         start_endless(connection)

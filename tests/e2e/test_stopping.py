@@ -44,7 +44,7 @@ def test_every_connection_is_told(daemon):
 @pytest.mark.parametrize("scheme, how", [("unix", signal.SIGTERM), ("tcp", signal.SIGHUP)])
 def test_requests_in_flight_are_answered_and_nobody_new(daemon, scheme, how):
     """A client has not yet read its answers, so the daemon is still running."""
-    one = daemon("--drain-timeout-ms", "5000")
+    one = daemon("--drain-timeout-ms", "60000")
     with one.connect(scheme) as slow:
         expected = ask(slow, EVAL, LARGE).payload
         slow.send_bytes(b"".join(frame(EVAL, i, LARGE) for i in range(30)))
@@ -127,7 +127,7 @@ def test_hanging_up_is_ignored_under_nohup(daemon):
 
 
 def test_health_and_metrics_until_the_end(daemon):
-    one = daemon("--metrics", "127.0.0.1:0", "--drain-timeout-ms", "5000")
+    one = daemon("--metrics", "127.0.0.1:0", "--drain-timeout-ms", "60000")
     assert fetch(one, "/healthz")[0] == 200
     with one.connect() as slow:
         slow.send_bytes(frame(EVAL, 1, LARGE) * 10)
