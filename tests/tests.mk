@@ -230,7 +230,7 @@ fuzz-merge:
 
 # A fixed seed. The long form has as many rounds as each class needs.
 check-truth: ROUNDS = 10
-check-truth-long: ROUNDS = 20
+check-truth-long: ROUNDS = 32
 check-truth check-truth-long: $(BUILD)/tests/accuracy/truth
 	@$(BUILD)/tests/accuracy/truth --rounds $(ROUNDS) --seed 1
 

@@ -237,7 +237,7 @@ static bool has_ln_R(const struct subject *s, enum evaluator e, double r) {
   return r * (double)s->form.part[0].sigma_t_prime < far;
 }
 
-enum { EXACT_MOST = 64, DENSE = 1472, RADII = EXACT_MOST + DENSE };
+enum { EXACT_MOST = 64, DENSE = 448, RADII = EXACT_MOST + DENSE };
 
 struct values {
   size_t count;
@@ -520,7 +520,7 @@ static void check_inversion(struct subject *s, uint64_t *random) {
 
 typedef _Complex _Float128 complex_quad;
 
-enum { LIGHT_NODES = 36, LIGHT_RADII = 48 };
+enum { LIGHT_NODES = 36, LIGHT_RADII = 16 };
 
 /* Sets ln_R[n] of a medium by the formula or, of transport, by the independent solver as far as it
  * reaches. waves: x are frequencies. */
