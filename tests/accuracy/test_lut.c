@@ -368,7 +368,7 @@ UNIT_TEST(ordinary_media_are_never_refused) {
  * its absorption it would never end. */
 UNIT_TEST(thin_slabs_are_not_refused) {
   static const double slabs[][2] = {{0.01, 1}, {0.01, 0.3}, {0.1, 2}, {1, 0.3}};
-  for (size_t i = 0; i < sizeof slabs / sizeof slabs[0]; i++) {
+  for (size_t i = 0; i < sizeof slabs / sizeof slabs[0]; i += unit_is_long() ? 1 : 3) {
     const core_medium slab = {0.1, slabs[i][0], 0.75, 1, slabs[i][1]};
     core_profile table;
     unit_assert_fault(table_prepare(&table, CORE_MODEL_TRANSPORT, &slab, (double)NAN), NULL, 0);

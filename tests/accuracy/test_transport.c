@@ -100,7 +100,7 @@ UNIT_TEST(tolerances_are_kept) {
   for (int i = 0; i < MEDIA; i++) {
     double eta, albedo;
     random_medium(&random, i, &eta, &albedo);
-    isotropic_solution *truth = isotropic_solve(eta, albedo, 1e-9, ISOTROPIC_REACH_FAR);
+    isotropic_solution *truth = isotropic_solve(eta, albedo, 1e-9, ISOTROPIC_REACH);
     for (size_t t = 0; t < TOLERANCES; t++) {
       isotropic_solution *solution = isotropic_solve(eta, albedo, tolerances[t], ISOTROPIC_REACH);
       for (int k = 0; k < RADII; k++) {

@@ -45,7 +45,7 @@ static void expect(const core_profile *profile, enum core_quantity quantity, dou
 }
 
 static isotropic_solution *solved(double eta, double ratio) {
-  return isotropic_solve(eta, fmin(1 / (1 + ratio), 1 - 0x1p-53), 1e-8, ISOTROPIC_REACH);
+  return isotropic_solve(eta, fmin(1 / (1 + ratio), 1 - 0x1p-53), 1e-7, ISOTROPIC_REACH);
 }
 
 static double ln_R(const isotropic_solution *solution, double x) {
