@@ -286,7 +286,7 @@ UNIT_TEST(amounts_scatter_as_the_readings_allow) {
   of.scale = CORE_FIT_SCALE_ABSOLUTE;
   of.axis = CORE_FIT_AXIS_FREQUENCY;
   memcpy(of.at, frequencies, sizeof frequencies);
-  expect_scatter(of, sets, 3000);
+  expect_scatter(of, sets, 3001);
 }
 
 UNIT_TEST(amounts_in_vessels_scatter_as_readings_of_green_light_allow) {
