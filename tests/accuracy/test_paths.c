@@ -353,8 +353,9 @@ UNIT_TEST(paths_reach_their_limit_without_absorption) {
 UNIT_TEST(slow_modulation_lags_by_the_mean_path) {
   static const unsigned models[] = {CORE_MODEL_TRANSPORT, CORE_MODEL_BETTER,
                                     CORE_MODEL_BETTER_SINGLE};
-  for (size_t m = 0; m < sizeof models / sizeof models[0]; m++) {
-    core_profile profile = prepared(models[m], CORE_EVALUATOR_F64, &tissue, 1, 0.1);
+  for (unsigned m = 0; m < 3 * sizeof models / sizeof models[0]; m++) {
+    const unsigned model = models[m / 3], evaluator = CORE_EVALUATOR_F64 + m % 3;
+    core_profile profile = prepared(model, evaluator, &tissue, 1, 0.1);
     for (double r = 0.5; r < 40; r *= 2) {
       const double path = unit_value_at(&profile, CORE_QUANTITY_PATH, r);
       const double lag = wavenumber(0.1, 1.4) * (180 / PI);
@@ -363,7 +364,7 @@ UNIT_TEST(slow_modulation_lags_by_the_mean_path) {
                  stated(&profile, CORE_QUANTITY_PHASE, r) + 1e-5 * lag * path);
     }
     core_profile_free(&profile);
-    profile = prepared(models[m], CORE_EVALUATOR_F64, &tissue, 1, 0);
+    profile = prepared(model, evaluator, &tissue, 1, 0);
     assert_true(unit_value_at(&profile, CORE_QUANTITY_PHASE, 5) == 0);
     assert_true(unit_value_at(&profile, CORE_QUANTITY_MODULATION, 5) == 1);
     core_profile_free(&profile);

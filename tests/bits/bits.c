@@ -407,8 +407,10 @@ static void print_varying(const core_isa *isa, unsigned model, unsigned evaluato
   }
   sum = checksum(sum, varying.words, varying.words_count * sizeof *varying.words);
   core_varying_range range;
-  core_varying_check(&varying, false, RADII, at[0], at[1], at[2], status, &range);
-  sum = checksum(add_numbers(sum, &range, sizeof range), status, sizeof status);
+  for (int drawn = 1; drawn >= 0; drawn--) {
+    core_varying_check(&varying, drawn, RADII, at[0], at[1], at[2 + drawn], status, &range);
+    sum = checksum(add_numbers(sum, &range, sizeof range), status, sizeof status);
+  }
   for (int i = 0; i < QUANTITIES; i++) {
     const double error = core_varying_error(&varying, quantities[i], &range);
     core_varying_eval(&varying, quantities[i], RADII, at[0], at[1],

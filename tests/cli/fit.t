@@ -49,13 +49,13 @@ $ dipole fit skin.csv --model better
 ! `dipole fit --help` says more.
 ? 2
 
-$ sed '1s/$/,eta,g/; 2,$s/$/,1.4,0.8/' skin.csv | dipole fit --model better
+$ sed '1s/$/,eta,g,source_mm,detector_mm/; 2,$s/$/,1.4,0.8,.2,.4/' skin.csv | dipole fit --model better
 model better, moments exact, scale absolute
 
-sample  sigma_a  sigma_s'  error of a  error of s'   a by g  s' by g  correlation       chi2  readings  model error    g  g from  g sides  eta  status
-           1/mm      1/mm        1/mm         1/mm     1/mm     1/mm                                       relative
-------  -------  --------  ----------  -----------  -------  -------  -----------  ---------  --------  -----------  ---  ------  -------  ---  ------
-skin       0.05         1      0.0006       0.0052  4.2e-17  2.2e-16        0.335  2.138e-23         4    not known  0.8    file     both  1.4  fitted
+sample   sigma_a  sigma_s'  error of a  error of s'   a by g  s' by g  correlation    chi2  readings  model error    g  g from  g sides  eta  status
+            1/mm      1/mm        1/mm         1/mm     1/mm     1/mm                                    relative
+------  --------  --------  ----------  -----------  -------  -------  -----------  ------  --------  -----------  ---  ------  -------  ---  ------
+skin    0.050322    1.0052      0.0006       0.0052  1.4e-17  2.2e-16        0.336  0.8782         4    not known  0.8    file     both  1.4  fitted
 
 errors are standard errors; chi2 is the sum of the squares of (reading - fit) / error
 model error: of R against radiative transport, which is not in the standard errors

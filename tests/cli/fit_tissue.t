@@ -18,16 +18,16 @@ sample  unknown           value   error  numerical  status       chi2  readings 
 errors are standard errors, inf where a value has none; numerical: how far numerical errors of R may
 shift a value; chi2 is the sum of the squares of (reading - fit) / error
 
-$ dipole fit bands.csv --unknown hbo2,hb=0:20,water,a,b --tissue fat=.3 --format csv
+$ sed '1s/$/,source_mm,detector_mm/; 2,$s/$/,.2,1/' bands.csv | dipole fit --unknown hbo2,hb=0:20,water,a,b --tissue fat=.3 --format csv
 sample,unknown,value,error,numerical,status,scale,scale_error,chi2,readings,condition,sample_status
-1,hbo2_uM,56.947614332571405,inf,0.11549313297566674,implausible,1,0,98.81299151914745,32,27.87691609029227,at-bound
-1,hb_uM,20,inf,0.07558760665854737,at-bound,1,0,98.81299151914745,32,27.87691609029227,at-bound
-1,water_fraction,0.620544075497948,inf,0.0012350417288075808,implausible,1,0,98.81299151914745,32,27.87691609029227,at-bound
-1,a_per_mm,2.227243266686356,inf,0.0074180338251337305,implausible,1,0,98.81299151914745,32,27.87691609029227,at-bound
-1,b,1.4640417459375807,inf,0.005708936535677257,implausible,1,0,98.81299151914745,32,27.87691609029227,at-bound
-1,saturation,0.7400829099969363,inf,,at-bound,1,0,98.81299151914745,32,27.87691609029227,at-bound
-1,total_uM,76.9476143325714,inf,,at-bound,1,0,98.81299151914745,32,27.87691609029227,at-bound
-! dipole fit: bands.csv: 1 of 1 samples were not fitted whole: see the column status
+1,hbo2_uM,58.82467179265267,inf,0.11603239468869436,implausible,1,0,181.62844300467384,32,26.5405996284133,at-bound
+1,hb_uM,20,inf,0.07255208785723129,at-bound,1,0,181.62844300467384,32,26.5405996284133,at-bound
+1,water_fraction,0.6293598535005265,inf,0.0012373913910598616,implausible,1,0,181.62844300467384,32,26.5405996284133,at-bound
+1,a_per_mm,2.2423999213575567,inf,0.007092450925352482,implausible,1,0,181.62844300467384,32,26.5405996284133,at-bound
+1,b,1.497700298489102,inf,0.005454562012367755,implausible,1,0,181.62844300467384,32,26.5405996284133,at-bound
+1,saturation,0.7462723339640441,inf,,at-bound,1,0,181.62844300467384,32,26.5405996284133,at-bound
+1,total_uM,78.82467179265268,inf,,at-bound,1,0,181.62844300467384,32,26.5405996284133,at-bound
+! dipole fit: standard input: 1 of 1 samples were not fitted whole: see the column status
 ? 3
 
 $ head -9 bands.csv | dipole fit --unknown hbo2,hb,water,a,b --tissue fat=.3 --scale free
@@ -88,8 +88,8 @@ $ dipole fit bands.csv --unknown hbo2=3,a
 ! `dipole fit --help` says more.
 ? 2
 
-$ dipole fit bands.csv --unknown hbo2,x
-! dipole fit: --unknown: 'x' is no property; they are hbo2_uM, hb_uM, water_fraction, fat_fraction, melanin_fraction, bilirubin_uM, carotene_uM, cco_ox_uM, cco_red_uM, blood_fraction, bloodless_fraction, a_per_mm, b, rayleigh_share, g, eta, vessel_radius_mm, thickness_mm
+$ dipole fit bands.csv --unknown hbo2,cco
+! dipole fit: --unknown: 'cco' is no property; they are hbo2_uM, hb_uM, water_fraction, fat_fraction, melanin_fraction, bilirubin_uM, carotene_uM, cco_ox_uM, cco_red_uM, blood_fraction, bloodless_fraction, a_per_mm, b, rayleigh_share, g, eta, vessel_radius_mm, thickness_mm
 ! `dipole fit --help` says more.
 ? 2
 

@@ -122,6 +122,6 @@ def test_a_design_is_prepared_once(daemon, readings):
         for _ in range(3):
             client.fit("better", AT_MM, readings, 0.01 * readings, eta=1.4)
         assert client.statistics()["cache_builds"] == 1
-        client.fit("better", AT_MM, readings, 0.01 * readings, eta=1.41)
+        client.fit("transport", AT_MM[1:5:3], readings[1:5:3], 0.01, eta=1.4)  # fitted by an inverse
         assert client.statistics()["cache_builds"] == 2
         assert client.statistics()["sets_fitted"] == 4

@@ -15,8 +15,9 @@ def test_a_tissue_is_a_medium_at_each_wavelength(client):
     assert client.tissue(1000.0, "liver", {"g": 0.8}) == liver[1:]
     by_ucl = client.tissue(1000.0, "liver", haemoglobin="ucl")
     assert by_ucl[0].sigma_a > 1.02 * liver[1].sigma_a
-    with pytest.raises(dipole.ArgumentError, match="Did you mean hbo2_uM"):
-        client.tissue(700.0, "liver", {"hbo2_um": 1.0})
+    for name, why in {"hbo2_um": "Did you mean hbo2_uM", "cco": "cco: not one of"}.items():
+        with pytest.raises(dipole.ArgumentError, match=why):
+            client.tissue(700.0, "liver", {name: 1.0})
     with pytest.raises(dipole.Refused, match=r"wavelength\[1\].*250 to 1000 nm"):
         client.tissue([700.0, 1001.0], "liver")
 

@@ -357,6 +357,10 @@ UNIT_TEST(test_arguments) {
   POINTS(xyz_mm, NULL, "xyz_mm or power_W is NULL");
   POINTS(power_W, NULL, "xyz_mm or power_W is NULL");
   assert_null(points);
+  double *most = calloc(3 * 16777216, sizeof *most); /* of zeros that take no memory */
+  assert_true(dipole_points_make(16777216, 1, most, (float *)most, &points, &error));
+  dipole_points_free(points);
+  free(most);
   assert_true(dipole_points_make(1, 1, radii, &power_W, &points, &error));
   dipole_gather_query gathered = {.model = 2,
                                   .evaluator = DIPOLE_F64,

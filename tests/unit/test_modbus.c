@@ -144,6 +144,21 @@ UNIT_TEST(pauses_within_a_request) {
   }
 }
 
+/* The short silence ends an echo, and a request behind it: their last pieces alone. */
+UNIT_TEST(a_request_behind_an_echo) {
+  uint8_t bytes[15] = {7, 3, 2, 0, 0, [7] = 7, 6, 0, 0, 0, 1};
+  const size_t echo = close_frame(bytes, 5), all = echo + close_frame(bytes + echo, 6);
+  struct modbus_receiver receiver = {.number = 7, .silence_ns = SILENCE_NS};
+  for (size_t cut = 1; cut < all; cut++) {
+    assert_false(modbus_receiver_sent(&receiver, bytes, echo));
+    arrive(&receiver, bytes, cut, 1);
+    assert_int_equal(modbus_receiver_is_whole(&receiver), cut == echo);
+    arrive(&receiver, bytes + cut, all - cut, 1);
+    assert_true(modbus_receiver_is_whole(&receiver));
+    assert_int_equal(end(&receiver), all - echo);
+  }
+}
+
 /* Bytes behind noise are taken for a request only if there is a silence between them and the
  * noise. */
 UNIT_TEST(a_request_begins_behind_silence) {
