@@ -1,5 +1,6 @@
 """Runs `dipole`, the command line, and reads what it writes."""
 
+import atexit
 import csv
 import fcntl
 import functools
@@ -34,7 +35,9 @@ NAMES_ITS_MODEL = ("--model", "--tolerance", "--help")
 def shared() -> Daemon:
     """Returns the daemon that commands ask which name none: a private one each would start and solve
     for itself. It looks for no lost memory, which makes solving slow."""
-    return Daemon(env={"LD_PRELOAD": ""})
+    one = Daemon(env={"LD_PRELOAD": ""})
+    atexit.register(one.close)
+    return one
 
 
 def of_better(arguments: tuple[str, ...]) -> list[str]:

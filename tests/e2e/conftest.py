@@ -8,7 +8,6 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "clients" / "python"))
 
-import command_line  # noqa: E402  (needs the path above)
 from daemons import BUILD, Daemon  # noqa: E402  (needs the path above)
 from modbus_master import Tcp  # noqa: E402
 
@@ -34,14 +33,6 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 def build() -> Path:
     """Returns the folder of the programs under test: $TESTED_BUILD, else build/."""
     return BUILD
-
-
-@pytest.fixture(scope="session", autouse=True)
-def commands():
-    """Ends the daemon of command_line.shared()."""
-    yield
-    if command_line.shared.cache_info().currsize:
-        command_line.shared().close()
 
 
 @pytest.fixture
