@@ -753,7 +753,7 @@ UNIT_TEST(the_inverse_gives_what_the_search_gives) {
     design.axis = rows[i / 2].axis;
     design.scale = reference ? CORE_FIT_SCALE_REFERENCE : CORE_FIT_SCALE_ABSOLUTE;
     design.reference = (core_medium){.05, 1 / (1 - g), g, eta};
-    compare_inverse(&design, rows[i / 2].at, (unit_is_long() ? 10 : 3) * sets(), &random);
+    compare_inverse(&design, rows[i / 2].at, (unit_is_long() ? 10 : 2) * sets(), &random);
   }
 }
 
