@@ -690,11 +690,11 @@ static void print_fits(const core_isa *isa) {
   }
 }
 
-/* Prints a checksum of a fit of layers: a slab's thickness with a free factor. */
+/* Prints a checksum of a fit of layers: a slab's thickness, its least absorption and a free factor. */
 static void print_layers(const core_isa *isa) {
   enum { READINGS = 4 };
   static const double at[READINGS] = {0.3, 0.6, 1, 1.5}, off[READINGS] = {1, 1.02, 1, 1.02};
-  static const core_medium slab = {0.2, 2, 0, 1, 1};
+  static const core_medium slab = {1e-7, 2, 0, 1, 1};
   double values[READINGS], errors[READINGS], residuals[READINGS] = {0};
   core_parameters parameters = core_parameters_none();
   core_profile profile;
@@ -707,8 +707,9 @@ static void print_layers(const core_isa *isa) {
     errors[i] = 0.05 * values[i];
     values[i] *= off[i];
   }
+  const unsigned unknowns = CORE_UNKNOWN_THICKNESS_1 | CORE_UNKNOWN_SIGMA_A_1;
   const core_layers_fit_request request = {
-      CORE_FIT_SCALE_FREE, CORE_UNKNOWN_THICKNESS_1, &slab, 1, READINGS, at, values, errors};
+      CORE_FIT_SCALE_FREE, unknowns, &slab, 1, READINGS, at, values, errors};
   core_layers_fit fit = {0};
   uint64_t sum =
       add_fault(CHECKSUM_START, core_layers_fit_run(&fit, isa, &request, residuals, NULL));
