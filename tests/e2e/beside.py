@@ -44,7 +44,7 @@ class Bench(Beside):
 
     def __init__(self, url: str, *options: str, **env: str):
         super().__init__(self.measure)
-        patience = "--retry-ms=60000", "--timeout-ms=240000"
+        patience = "--retry-ms=240000", "--timeout-ms=240000"
         self.command = ("bench", "--connect", url, "--format", "json", *patience, *options)
         self.env, self.answered = env, 0
 

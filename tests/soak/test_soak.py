@@ -35,9 +35,10 @@ OPTIONS = (
     *("--max-frame-bytes", str(1 << 20), "--max-part-bytes", str(1 << 16)),
     *("--cache-bytes", str(CACHE_BYTES), "--max-total-bytes", str(TOTAL_BYTES)),
 )
-# The daemon's memory may grow by this much beyond its maximum in the first third of the time, when
-# it has met everything: for gaps in a heap with blocks of all sizes, and for records of a
-# sanitizer.
+# The daemon's memory may grow by GROWTH_BYTES beyond its maximum in the first third of the time, or
+# beyond what it takes when it has met everything (84 MiB in runs of two minutes), which is later on a
+# loaded machine: for gaps in a heap with blocks of all sizes, and for records of a sanitizer.
+MET_BYTES = 84 << 20
 GROWTH_BYTES = (128 if sanitized() else 24) << 20
 ENDLESS = eval_payload(radii=None, radius_count=64_000_000, evaluator=F32, wanted=R)
 
@@ -284,4 +285,4 @@ def test_soak(tmp_path):
     print(f"soak: cache_bytes {now['cache_bytes']}, evictions {now['cache_evictions']}")
     assert all(one.done > 0 for one in (*loads, *beside)) and canary.done > canary.refused
     first_third = resident_bytes[: max(len(resident_bytes) // 3, 1)]
-    assert max(resident_bytes) <= max(first_third) + GROWTH_BYTES
+    assert max(resident_bytes) <= max(*first_third, MET_BYTES) + GROWTH_BYTES
