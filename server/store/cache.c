@@ -479,6 +479,10 @@ void cache_free(struct cache *cache) {
   }
   stop_threads(cache);
   for (size_t i = 0; i < LISTS; i++) { /* hold all entries, since none is under way */
+    struct cache_entry *entry;
+    TAILQ_FOREACH(entry, &cache->lists[i].entries, in_list) {
+      assert(!entry->under_way && atomic_load(&entry->references) == 1);
+    }
     release_all(&cache->lists[i].entries);
   }
   for (size_t i = 0; i < CACHE_LANES; i++) {

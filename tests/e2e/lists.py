@@ -119,7 +119,7 @@ def takes(model: str) -> tuple[str, ...]:
     taken = []
     for name in PARAMETERS:
         try:
-            asked().eval(model, medium_for(model), wanted=["albedo"], deadline_ms=1, parameters={name: some_value(name)})
+            asked().eval(model, medium_for(model), wanted=["albedo"], deadline_ms=30, parameters={name: some_value(name)})
         except dipole.Refused as refusal:
             if refusal.field == name and refusal.allowed == "nothing: this model does not take it":
                 continue
