@@ -206,7 +206,9 @@ FLOATS = {
     "RADII": [-1e-38, NAN, -INF],
     "PARAMETER_TOLERANCE": [1.5, -0.5, NAN],
     "THICKNESS": [-2.0, NAN, INF],
-}
+    "SAMPLE_U": [1.5], "SAMPLE_DEADLINE_MS": [-1.0], "INVERT_ALBEDO": [1.5], "INVERT_LENGTH": [0.0, 2e14],
+    "MC_PHOTONS": [0.0], "MC_ERROR_TOTAL": [1e-10],
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("name, value", [(n, v) for n, vs in FLOATS.items() for v in vs])
@@ -214,7 +216,8 @@ def test_floats_out_of_range(master, name, value):
     expected = (3, BAD_VALUE_STATUS, AT[name])
     assert refused(master, AT[name], floats(value), 42) == expected
     text = master.read(AT["ERROR_TEXT"], 40, 42).rstrip(b"\0").decode("ascii")
-    assert " to " in text
+    optional = name in ("PARAMETER_TOLERANCE", "THICKNESS", "MC_ERROR_TOTAL")
+    assert " to " in text and text.endswith(", or -1: not given") == optional
     assert refused(master, MIRROR + AT[name], swapped(floats(value)), 42) == expected
 
 
@@ -244,7 +247,9 @@ IDS = {
     "SPACING": [0, 4],
     "RADIUS_COUNT": [0, 51],
     "WANTED": [0, 8, 16, 257 + 32, 512, 65535],
-}
+    "SAMPLE_DRAW": [0, 5], "SAMPLE_SAMPLE_COUNT": [0, 51], "SAMPLE_CANCEL": [2],
+    "INVERT_GIVEN": [5], "INVERT_MEDIUM_COUNT": [51], "MC_RING_COUNT": [0, 51],
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("name, value", [(n, v) for n, vs in IDS.items() for v in vs])

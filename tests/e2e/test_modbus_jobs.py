@@ -331,24 +331,6 @@ def test_a_job_that_cannot_be(master, name):
     assert (master.read(300, 2, unit), job.sequence) == before
 
 
-VALUES = [
-    ("SAMPLE_DRAW", words(0)), ("SAMPLE_DRAW", words(5)), ("SAMPLE_SAMPLE_COUNT", words(51)),
-    ("SAMPLE_SAMPLE_COUNT", words(0)), ("SAMPLE_U", floats(1.5)), ("SAMPLE_CANCEL", words(2)),
-    ("SAMPLE_DEADLINE_MS", floats(-1)), ("INVERT_GIVEN", words(5)),
-    ("INVERT_MEDIUM_COUNT", words(51)), ("INVERT_ALBEDO", floats(0.5, 1.5)),
-    ("INVERT_LENGTH", floats(0)), ("INVERT_LENGTH", floats(2e14)), ("MC_RING_COUNT", words(0)),
-    ("MC_RING_COUNT", words(51)), ("MC_PHOTONS", floats(0)), ("MC_ERROR_TOTAL", floats(1e-10)),
-]
-
-
-@pytest.mark.parametrize("field, data", VALUES)
-def test_values_of_jobs_out_of_range(master, field, data):
-    with exception(BAD_VALUE):
-        master.write(AT[field], data, 160)
-    at = AT[field] + (2 if len(data) == 8 else 0)
-    assert master.job(160)[2:4] == (BAD_VALUE_STATUS, at)
-
-
 def test_one_monte_carlo_job_too_many(daemon):
     """The limit of the binary protocol holds for the jobs of both."""
     one = daemon(*TCP, "--max-mc-jobs", "2")

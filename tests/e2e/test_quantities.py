@@ -59,6 +59,7 @@ def test_model_errors_are_those_of_each_radius(client):
     assert few.model_error.tolist() == few.model_errors.max(axis=1).tolist()
     single = client.eval("better", "skin1", r[100:110], wanted=wanted, evaluator="f32")
     np.testing.assert_allclose(single.model_errors, few.model_errors, rtol=1e-4)
+    assert (single.model_errors.max(axis=1) >= single.model_error).all()  # they are rounded up
     alone = client.eval("better", "skin1", r[100:110], wanted="model_errors", evaluator="f64")
     of_R = client.eval("better", "skin1", r[100:110], wanted=["R", "model_errors"], evaluator="f64")
     assert alone.model_errors.tolist() == of_R.model_errors.tolist()

@@ -209,11 +209,11 @@ def test_what_else_a_command_changes(raw):
         ("MED:NAME SKIN1", 0, "MED:NAME?", "skin1"),
         ("MED:TISS LIVer;WAV 800", 0, "MED:NAME?", '""'),
         (f"MED:NAME SKIN1;:{MED}", 0, "MED:NAME?", '""'),
-        ("PHAS:FREQ 100;:MOD BETTER;:TOL OFF", 0, "PHAS:FREQ?;:R? INF", "100;0"),
+        ("PHAS:FREQ 100;:MOD BURLEY;:TOL OFF", 0, "PHAS:FREQ?;:R? INF", "100;0"),
         ("FIT:READ NINF,INF,NAN", 0, "FIT:READ?", "-9.9E37,9.9E37,9.91E37"),
         ("*RST", 0, "FIT:READ?;:TOL?", '"";OFF'),
         ("STAT:OPER:ENAB 16;:STAT:QUES:ENAB 8;:STAT:PRES", 0, "STAT:OPER:ENAB?;:STAT:QUES:ENAB?", "0;0"),
-        ("MED 0,1,0,1.4,3;:FIT:MOD better;PLAC 1;READ 1;ERR 1;:FIT", -222, "FIT:MOD?", "better"),
+        ("MED 0,1,0,1.4,3;:FIT:MOD better;PLAC 1,2;READ 1,1;ERR 1,1;:FIT;*WAI", -222, "FIT:MOD?", "better"),
     ]:
         raw.send(message)
         assert raw.ask(f"{question};:SYST:ERR?").startswith(f"{told};{error},"), message
@@ -470,7 +470,10 @@ def test_limits():
             assert second.ask("*TST?") == third.ask("*TST?") == "0"
             assert fourth.line() == ""
             with one.client() as client:
-                assert client.statistics()["scpi_connections_refused"] == 1
+                told = lambda: [client.statistics()[f"scpi_{what}"] for what in (
+                    "connections_open", "connections_accepted", "connections_refused", "messages")]
+                *connections, messages = told()
+                assert third.ask("*TST?") == "0" and told() == [3, 3, 1, messages + 1] == [*connections, messages + 1]
     assert one.has_line("event=scpi-refused reason=max-scpi-connections")
     one.close()
     one = Daemon(*SCPI, "--idle-timeout-ms", "200", "--scpi-allow", "127.0.0.0/8")

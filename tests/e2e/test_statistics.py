@@ -117,12 +117,18 @@ def test_radii_by_model(daemon):
         ask(connection, EVAL, eval_payload([SKIN] * 3, [1.0] * 1000, model=BETTER))
         for _ in range(5):  # Repeated requests count, too.
             ask(connection, EVAL, eval_payload([SKIN], [1.0, 2.0], model=CLASSICAL))
+        client.sample("better", "skin1", draw=dipole.Draw(100))
+        client.invert("better", [0.5, 0.9], [1.0, 2.0])
+        before = client.statistics()
+        for _ in range(3):
+            client.eval("beam", SKIN, [1.0])
         now = client.statistics()
     radii = {name: now[f"radii_{name}"] for name in MODELS}
-    assert radii.pop("better") == 3000
+    assert radii.pop("better") == 3300 and now["radii_drawn"] == 300 and now["media_inverted"] == 2
+    assert radii.pop("beam") == 3 and [now[one] - before[one] for one in ("cache_misses", "cache_hits")] == [1, 5]  # and what it is compared with
     assert radii.pop("classical") == 10
     assert set(radii.values()) == {0}
-    assert now["radii_evaluated"] == 3010
+    assert now["radii_evaluated"] == 3313
 
 
 def test_queues(daemon):
