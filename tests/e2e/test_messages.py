@@ -328,13 +328,26 @@ WRONG |= {
 }  # fmt: skip
 
 
+# Fields of replies that say what was asked for.
+ECHOED = ["model", "evaluator", "moments", "wanted", "given", "coefficients", "haemoglobin", "layer_count"]
+
+
+def fixed_part(name: str, payload: bytes) -> dict[str, object]:
+    structure = wire.STRUCTURES.get(name)
+    return structure.unpack(payload[: structure.bytes])._asdict() if structure else {}
+
+
 @pytest.mark.parametrize("name", WRONG)
 def test_what_is_wrong_is_said(shared, name):
     with shared.connect() as connection:
-        send_points(connection, name.split(":")[0])
+        message = name.split(":")[0]
+        send_points(connection, message)
         type, payload, status, _, allowed, _ = WRONG[name]
         if status == "ok":
-            assert ask(connection, type, payload).type == type | wire.REPLY
+            reply = ask(connection, type, payload)
+            assert reply.type == type | wire.REPLY
+            asked, told = fixed_part(f"{message}_request", payload), fixed_part(f"{message}_reply", reply.payload)
+            assert all(asked[one] in (0, told[one]) for one in ECHOED if one in asked and one in told)
         else:
             assert assert_refused(connection, *WRONG[name]) == allowed  # the whole text
 
