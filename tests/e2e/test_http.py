@@ -114,6 +114,10 @@ SAME = {
     "a grid": ("eval", {"model": "better", **COEFFICIENTS, "wanted": ["R", "r"], "spacing": "logarithmic",
                         "radius_count": 5, "radius_start": 0.1, "radius_stop": 10},
                lambda c: c.eval("better", MEDIA, grid=dipole.Grid(0.1, 10, 5, "logarithmic"), wanted=["R", "r"])),
+    "a thickness": ("eval", {"model": "multipole", "medium": "skin1", "thickness": 60, "r": RADII, "wanted": "R"},
+                    lambda c: c.eval("multipole", [one._replace(thickness=60) for one in c.media()["skin1"]], RADII, wanted="R")),
+    "balance": ("eval", {"evaluator": "lut", **COEFFICIENTS, "r": [1], "wanted": ["R", "balance"]},
+                lambda c: c.eval("transport", MEDIA, [1.0], evaluator="lut", wanted=["R", "balance"])),
     "sample": ("sample", {"model": "better", "medium": "skin1", "draw": "random", "sample_count": 100,
                           "seed": str(2**64 - 1), "wanted": ["r", "pdf"]},
                lambda c: c.sample("better", "skin1", draw=dipole.Draw(100, seed=2**64 - 1))),
@@ -171,6 +175,8 @@ def test_answers_are_those_of_the_binary_protocol(served, name, how):
             assert bits(listed, expected) == expected.tobytes(), key
         if "albedo" in channel and path == "eval":
             assert channel["albedo"] is None or channel["albedo"] == found.albedo[i]
+        if name == "balance":
+            assert list(channel["balance"].values()) == list(found.balance[i])
         for key, stated in channel.get("errors", {}).items():
             errors = np.array([one[i] for one in found.errors[key]])
             assert bits(list(stated.values()), errors) == errors.tobytes(), key

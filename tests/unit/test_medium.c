@@ -1,29 +1,8 @@
-/* Media: which ones are valid, the measured ones, and what the preparation of a profile refuses.
- * More refused media, and what is in no list, are in tests/e2e/wrong.txt. */
+/* Media: the measured ones, and those that do not scatter. Which ones are valid, and what is refused, is
+ * in tests/e2e/wrong.txt. */
 #include <math.h>
 
 #include "tests/unit/unit.h"
-
-static void assert_medium(double sigma_a, double sigma_s, double g, double eta, const char *field) {
-  const core_medium medium = {sigma_a, sigma_s, g, eta};
-  unit_assert_fault(core_medium_check(&medium), field, 0);
-}
-
-UNIT_TEST(accepts_the_whole_domain) {
-  assert_medium(0.02, 0.8, 0.1, 1.3, NULL);
-  assert_medium(0, 0.8, 0, 1.3, NULL);
-  assert_medium(-0.0, 0.8, 0, 1.3, NULL);
-  assert_medium(0.02, 0, 0, 1.3, NULL);
-  assert_medium(5e-324, 1, 0, 1.3, NULL);
-  assert_medium(CORE_SIGMA_MAX_PER_MM, CORE_SIGMA_MAX_PER_MM, -0.999, 1, NULL);
-  assert_medium(1, 1, nextafter(1, 0), 1, NULL);
-  assert_medium(1, 1, nextafter(-1, 0), 1, NULL);
-  assert_medium(1, 1, 0, CORE_ETA_MIN, NULL);
-  assert_medium(1, 1, 0, CORE_ETA_MAX, NULL);
-  assert_medium(CORE_SIGMA_T_PRIME_MIN_PER_MM, 0, 0, 1, NULL);
-  assert_medium(0, CORE_SIGMA_T_PRIME_MIN_PER_MM, 0, 1, NULL);
-  assert_medium(1, 1.01e-32, 0, 1.3, NULL); /* with less its albedo would underflow */
-}
 
 /* ---- profiles ----------------------------------------------------------------------------- */
 
