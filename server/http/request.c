@@ -563,13 +563,6 @@ static bool add_media(struct translation *t) {
   return good;
 }
 
-/* The models whose names a parameter takes, besides their ids. */
-static const core_choice *choices_of_parameter(unsigned id) {
-  return id == CORE_PARAMETER_FIT_MODEL ? core_models
-         : id == CORE_PARAMETER_PHASE   ? core_phases
-                                        : NULL;
-}
-
 /* Returns a request's field that JSON has, or NULL. */
 static const schema_field *shown_field(const schema_message *message, const char *name) {
   const schema_field *field = schema_field_of(message->request, name);
@@ -616,19 +609,19 @@ static bool add_parameters(struct translation *t) {
   for (const core_choice *one = numbers; one->name != NULL; one++) {
     const json_t *value = value_of(t, one->name);
     wire_parameter parameter = {.parameter = (uint16_t)one->id};
-    const core_choice *list = numbers == core_parameter_list ? choices_of_parameter(one->id) : NULL;
+    const bool is_model = numbers == core_parameter_list && one->id == CORE_PARAMETER_FIT_MODEL;
     if (value == NULL || shown_field(t->message, one->name) != NULL) {
       continue;
     }
     uint64_t id = 0;
-    const bool named = list != NULL && json_string_value(value) != NULL;
-    if (named && !was_read(t, parse_choice(value, one->name, list, false, &id))) {
+    const bool named = is_model && json_string_value(value) != NULL;
+    if (named && !was_read(t, parse_choice(value, one->name, core_models, false, &id))) {
       return false;
     }
     if (!named && !read_number(t, value, &parameter.value)) {
       return fail_with(t, not_a_number(one->name));
     }
-    parameter.value = list != NULL && id > 0 ? (double)id : parameter.value;
+    parameter.value = named ? (double)id : parameter.value;
     if (!add_structure(t, &parameter, sizeof parameter)) {
       return false;
     }

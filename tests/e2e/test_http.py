@@ -116,6 +116,8 @@ SAME = {
                lambda c: c.eval("better", MEDIA, grid=dipole.Grid(0.1, 10, 5, "logarithmic"), wanted=["R", "r"])),
     "a thickness": ("eval", {"model": "multipole", "medium": "skin1", "thickness": 60, "r": RADII, "wanted": "R"},
                     lambda c: c.eval("multipole", [one._replace(thickness=60) for one in c.media()["skin1"]], RADII, wanted="R")),
+    "the name of a parameter": ("eval", {"model": "gaussians", "fit_model": "better", "medium": "skin1", "r": [1], "wanted": "R"},
+                                lambda c: c.eval("gaussians", "skin1", [1.0], wanted="R", parameters={"fit_model": 2})),
     "balance": ("eval", {"evaluator": "lut", **COEFFICIENTS, "r": [1], "wanted": ["R", "balance"]},
                 lambda c: c.eval("transport", MEDIA, [1.0], evaluator="lut", wanted=["R", "balance"])),
     "sample": ("sample", {"model": "better", "medium": "skin1", "draw": "random", "sample_count": 100,

@@ -80,7 +80,8 @@ def commit_slow(master: Tcp, kind: str, unit: int = 1, number: int = 1) -> None:
 def test_a_sample_has_the_wires_bits(master, client, draw, evaluator):
     unit = 110 + DRAWS[draw]
     u = single([0.0, 0.25, 0.5, 0.999, 1.0])
-    set_medium(master, unit, SKIN, "classical", evaluator)
+    medium = (*SKIN[:2], 0.5, SKIN[3])
+    set_medium(master, unit, medium, "classical", evaluator)
     setting(master, unit, SAMPLE_DRAW=words(DRAWS[draw], 5, 0, 3, 0x1234, 0x5678))
     setting(master, unit, SAMPLE_U=floats(*u))
     master.write_one(AT["SAMPLE_COMMIT"], 9, unit)
@@ -89,7 +90,7 @@ def test_a_sample_has_the_wires_bits(master, client, draw, evaluator):
         5, draw, 0 if draw == "regular" else 0x12345678, 3 if draw == "random" else 0
     )
     how = {"evaluator": evaluator, "draw": rule}
-    expected = client.sample("classical", single(SKIN), u if draw == "list" else None, **how)
+    expected = client.sample("classical", single(medium), u if draw == "list" else None, **how)
     for field, values in [("SAMPLE_R", expected.r), ("SAMPLE_PDF", expected.pdf)]:
         found = numbers(master, field, 50, unit)
         assert found[:5].tobytes() == values[0].astype("f4").tobytes()
@@ -101,6 +102,9 @@ def test_a_sample_has_the_wires_bits(master, client, draw, evaluator):
     assert wire <= stated[0] <= 1.001 * wire + 2.0**-23
     assert stated[1] == pytest.approx(expected.model_error[0], rel=1e-6)
     assert numbers(master, "SAMPLE_PROGRESS", 1, unit).tolist() == [1.0]
+    assert expected.notes and as_words(master.read(AT["SAMPLE_NOTES"], 1, unit)) == [
+        sum(client.info.choices["note"][one].id for one in expected.notes)
+    ]
 
 
 @pytest.mark.parametrize("given", LENGTHS)
@@ -498,6 +502,9 @@ def test_a_fit_has_the_values_of_the_wire(master, client):
     found = client.fit("better", FIT_AT_MM, ratio, spread, eta=eta, reference=single_known)
     np.testing.assert_allclose(fit_results(master, unit), expected_results(found), rtol=1e-5)
     assert abs(found.sigma_a - 0.03) < 3 * found.sigma_a_error
+    third = AT["FIT_REFERENCE_READING"] + 8
+    master.write(third, floats(0.0), unit)
+    assert commit_fit(master, unit, 9, raw, raw_errors)[:4] == [ERROR, 8, BAD_VALUE_STATUS, third]
 
 
 @pytest.mark.parametrize("scale, at_mm", [("absolute", (1.0, 2.0)), ("free", FIT_AT_MM)])
