@@ -135,6 +135,7 @@ def test_all_power_is_accounted_for(daemon):
         through = shares["transmitted"] + shares["unscattered_below"]
         for found, known in zip((through, shares["absorbed_1"], shares["absorbed_2"]), (walked.T, *walked.in_layer)):
             assert abs(found - known.value) <= 4 * known.error
+        assert len({one.error for one in (walked.R, walked.T, *walked.in_layer)}) == 4 + 1  # 0 of other layers
         (half,) = client.eval("transport", SKIN, wanted=["albedo", "balance"]).balance
         assert half["reflected"] + half["absorbed_1"] == 1 and half["transmitted"] == 0
         for model, wrong in (("better", "transport has it"), (None, "in place of a model")):

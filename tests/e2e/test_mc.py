@@ -71,6 +71,9 @@ def test_errors_end_it_early(client):
     assert rings.error_rings == worst
     at = int(np.nanargmax(rings.R_error / rings.R))
     assert rings.worst_ring_mm == (rings.edges[at], rings.edges[at + 1])
+    slab = client.mc((0.1, 0.9, 0.0, 1.3, 4.0), EDGES, photons=20_000, albedos=[0.9, 0.5])
+    fixed, relative = unpack_fixed(slab.payload), slab.errors / slab.values
+    assert relative[fixed.worst_albedo, fixed.worst_side].max() == relative.max() and fixed.worst_albedo and fixed.worst_side
     both = client.mc(TISSUE, EDGES, error_rings=0.05, error_total=0.5)
     assert both.payload == rings.payload
     short = client.mc(TISSUE, EDGES, error_rings=1e-6, photons=50_000)
