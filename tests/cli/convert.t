@@ -101,45 +101,31 @@ $ dipole convert --from openpbr --colour .8,.5,.2 --srgb --length 1,.5,.25 --uni
 Material "subsurface" "rgb reflectance" [ 0.603827339 0.21404114 0.0331047666 ] "rgb mfp" [ 10 5 2.5 ] "float g" [ 0.8 ] "float eta" [ 1.4 ]
 ! dipole convert: --from openpbr: renderers that use its example formula need --typed
 
-$ dipole convert --colour .5 --length 1
+$ for one in '--colour .5 --length 1' '--from openpbr --colour .5' '--from openpbr --colour 1.5 --length 1' '--from openpbr --colour .5 --length 1 --g -.1 --to appleseed-glass' '--from openbr --colour .5 --length 1' '--from openpbr --colour .5 --length 1 --sigma-a 1' '--from openpbr --colour .5 --length 1 --unit inch' '--from openpbr --colour .5 --length 1 --to gltf --format native'; do dipole convert $one || echo $?; done
+2
+2
+2
+2
+2
+2
+2
+2
 ! dipole convert: give --from: a convention, or coefficients
 ! `dipole convert --help` says more.
-? 2
-
-$ dipole convert --from openpbr --colour .5
 ! dipole convert: give --colour, and --length for all or each of its channels
 ! `dipole convert --help` says more.
-? 2
-
-$ dipole convert --from openpbr --colour 1.5 --length 1
 ! dipole convert: --colour: 1.5 is not from 0 to 1: divide values of 8 bits by 255
 ! `dipole convert --help` says more.
-? 2
-
-$ dipole convert --from openpbr --colour .5 --length 1 --g -.1 --to appleseed-glass
 ! dipole convert: --g: the formula of appleseed-glass is for g from 0 on
 ! `dipole convert --help` says more.
-? 2
-
-$ dipole convert --from openbr --colour .5 --length 1
 ! dipole convert: --from: 'openbr' is unknown; there are coefficients, openpbr, materialx, standard-surface, cycles, blender-skin, blender-burley, gltf, gltf-volume-scatter, dspbr, pxr, pbrt, appleseed-diffuse, appleseed-glass, unreal, unity
 ! `dipole convert --help` says more.
-? 2
-
-$ dipole convert --from openpbr --colour .5 --length 1 --sigma-a 1
 ! dipole convert: --medium, --sigma-a, --sigma-s: these are of --from coefficients
 ! `dipole convert --help` says more.
-? 2
-
-$ dipole convert --from openpbr --colour .5 --length 1 --unit inch
 ! dipole convert: --unit: mm, cm, m, or a number of millimetres
 ! `dipole convert --help` says more.
-? 2
-
-$ dipole convert --from openpbr --colour .5 --length 1 --to gltf --format native
 ! dipole convert: --format native: give three channels, not 1
 ! `dipole convert --help` says more.
-? 2
 
 $ dipole convert --from dspbr --colour .5,.0003 --length 1 --g .9
 ! dipole convert: --colour: channel 2 is too dark for its g; allowed is sigma_a 0 to 1000 sigma_s (1 - g) with transport

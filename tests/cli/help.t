@@ -356,10 +356,6 @@ $ dipole eval --sigma-a 0.1 --sigma-s 1 --eta 0
 ! dipole eval: bad-value: eta: allowed: 0.001 to 1000 (--eta)
 ? 1
 
-$ dipole eval --sigma-a 0.1 --sigma-s 1 --eta 3 --moments fit --model better
-! dipole eval: bad-value: eta: allowed: 0.195 to 2.485 with moments fit (--eta)
-? 1
-
 $ dipole eval --sigma-a 0.1 --sigma-s 1 --r 0,-1
 ! dipole eval: bad-value: r number 2 of 2: allowed: 0 to infinity, in mm (--r)
 ? 1

@@ -171,99 +171,61 @@ $ dipole mc --sigma-a 0.1 --sigma-s 0.9 --phase modified --phase-share 0.9 --r 1
 $ dipole mc --sigma-a 0.1 --sigma-s 0.9 --error 0 --total-error 0 --format csv | grep -c total
 1
 
-$ dipole mc
+$ for one in '' '--sigma-a 0.1 --sigma-s 0.9 --r 1 --to 2' '--sigma-a 0.1 --sigma-s 0.9 --r 0,1' '--medium skin1 --channel pink' '--sigma-a 1,2 --sigma-s 1,2,3' '--sigma-a 0.1 --sigma-s 0.9 --channel red' '--sigma-a 0.1 --sigma-s 0.9 --log' '--sigma-a 0.1 --sigma-s 0.9 --photons 1.5' '--sigma-a 0.1 --sigma-s 0.9 --rings 99999999999' '--sigma-a 0.1 --sigma-s 0.9 --phase mie'; do dipole mc $one || echo $?; done
+2
+2
+2
+2
+2
+2
+2
+2
+2
+2
 ! dipole mc: give --medium NAME, or --sigma-a and --sigma-s, or --layer
 ! `dipole mc --help` says more.
-? 2
-
-$ dipole mc --sigma-a 0.1 --sigma-s 0.9 --r 1 --to 2
 ! dipole mc: --r gives the radii one by one: leave --from, --to, --rings and --log out
 ! `dipole mc --help` says more.
-? 2
-
-$ dipole mc --sigma-a 0.1 --sigma-s 0.9 --r 0,1
 ! dipole mc: --r: give radii above 0
 ! `dipole mc --help` says more.
-? 2
-
-$ dipole mc --medium skin1 --channel pink
 ! dipole mc: --channel: 'pink' is unknown; it is red, green or blue
 ! `dipole mc --help` says more.
-? 2
-
-$ dipole mc --sigma-a 1,2 --sigma-s 1,2,3
 ! dipole mc: --sigma-s has 3 values and --sigma-a has 2: give one value or as many
 ! `dipole mc --help` says more.
-? 2
-
-$ dipole mc --sigma-a 0.1 --sigma-s 0.9 --channel red
 ! dipole mc: --channel is one of a measured medium: give --medium too
 ! `dipole mc --help` says more.
-? 2
-
-$ dipole mc --sigma-a 0.1 --sigma-s 0.9 --log
 ! dipole mc: --log needs --from, above 0
 ! `dipole mc --help` says more.
-? 2
-
-$ dipole mc --sigma-a 0.1 --sigma-s 0.9 --photons 1.5
 ! dipole mc: --photons: give a whole number from 1 to 9e15, such as 2000000 or 2e6
 ! `dipole mc --help` says more.
-? 2
-
-$ dipole mc --sigma-a 0.1 --sigma-s 0.9 --rings 99999999999
 ! dipole mc: --rings: '99999999999' is no whole number up to 4294967295
 ! `dipole mc --help` says more.
-? 2
-
-$ dipole mc --sigma-a 0.1 --sigma-s 0.9 --phase mie
 ! dipole mc: --phase: 'mie' is unknown; this daemon has henyey-greenstein, modified, two-term
 ! `dipole mc --help` says more.
-? 2
 
-$ dipole mc --sigma-a 0.1 --sigma-s 0.9 --phase two-term --phase-share 0.8
+$ for one in '--sigma-a 0.1 --sigma-s 0.9 --phase two-term --phase-share 0.8' '--sigma-a 0.1 --sigma-s 0.9 --g 1' '--sigma-a 0.1 --sigma-s 0.9 --thickness -1' '--sigma-a 0.1 --sigma-s 0.9 --albedo 0.5,2' '--sigma-a 0.1 --sigma-s 0.9 --albedo 1,1,1,1,1,1,1,1,1,1,1,1,1,1,1,1,1' '--sigma-a 0.1 --sigma-s 0.9 --rings 4097' '--sigma-a 0.1 --sigma-s 0.9 --from -1' '--sigma-a 0.1 --sigma-s 0.9 --error 2' '--sigma-a 0.1 --sigma-s 0.9 --total-error -1' '--sigma-a 0.1 --sigma-s 0.9 --photons 1e12' '--sigma-a 0.1 --sigma-s 0.9 --detector-na 1.1'; do dipole mc $one || echo $?; done
+1
+1
+1
+1
+1
+1
+1
+1
+1
+1
+1
 ! dipole mc: bad-value: phase_g: allowed: -0.9999 to 0.9999: the phase function two-term needs it (--phase-g)
-? 1
-
-$ dipole mc --sigma-a 0.1 --sigma-s 0.9 --g 1
 ! dipole mc: bad-value: g: allowed: between -1 and 1, exclusive (--g)
-? 1
-
-$ dipole mc --sigma-a 0.1 --sigma-s 0.9 --thickness -1
 ! dipole mc: bad-value: thickness: allowed: 0 (a half space), or 1e-15 to 1e30 mm (--thickness)
-? 1
-
-$ dipole mc --sigma-a 0.1 --sigma-s 0.9 --albedo 0.5,2
 ! dipole mc: bad-value: albedo: allowed: 0 to 1 (--albedo)
-? 1
-
-$ dipole mc --sigma-a 0.1 --sigma-s 0.9 --albedo 1,1,1,1,1,1,1,1,1,1,1,1,1,1,1,1,1
 ! dipole mc: albedo_count is at most 16
-? 1
-
-$ dipole mc --sigma-a 0.1 --sigma-s 0.9 --rings 4097
 ! dipole mc: bad-count: ring_count: allowed: 1 to 4096 (--rings)
-? 1
-
-$ dipole mc --sigma-a 0.1 --sigma-s 0.9 --from -1
 ! dipole mc: bad-value: radius_start: allowed: at least 0 mm, finite (--from)
-? 1
-
-$ dipole mc --sigma-a 0.1 --sigma-s 0.9 --error 2
 ! dipole mc: bad-value: error_rings: allowed: 0 (none), or 1e-9 to 1 (--error)
-? 1
-
-$ dipole mc --sigma-a 0.1 --sigma-s 0.9 --total-error -1
 ! dipole mc: bad-value: error_total: allowed: 0 (none), or 1e-9 to 1 (--total-error)
-? 1
-
-$ dipole mc --sigma-a 0.1 --sigma-s 0.9 --photons 1e12
 ! dipole mc: too-large: photons: allowed: at most 10000000000 photons (--photons)
-? 1
-
-$ dipole mc --sigma-a 0.1 --sigma-s 0.9 --detector-na 1.1
 ! dipole mc: bad-value: detector_na: allowed: 0.01 to 1 (--detector-na)
-? 1
 
 $ dipole mc --layer 2,5,0.8,1.4,0.05 --layer 0.1,10,0.8,1.33,0.5 --eta-below 1.33 --photons 2e4 --to 2 --rings 1
 Monte Carlo, ended by photons, photons 20480, error of the total R 0.015, largest error of a ring 0.015
@@ -293,20 +255,16 @@ under, over: within the first ring's inner edge, and beyond the last ring; unsca
 r = 0; unfinished: walks that were cut off; roulette: added by it, about 0. These and the
 totals are shares of the power that entered.
 
-$ dipole mc --layer 1,2
+$ for one in '--layer 1,2' '--layer 1,2,0,1.4 --layer 1,2,0,1.4' '--layer 1,2,0,1.4 --g 0.5'; do dipole mc $one || echo $?; done
+2
+2
+2
 ! dipole mc: --layer 1,2: give SIGMA_A,SIGMA_S,G,ETA, and the thickness in mm of a layer that is no half space
 ! `dipole mc --help` says more.
-? 2
-
-$ dipole mc --layer 1,2,0,1.4 --layer 1,2,0,1.4
 ! dipole mc: --layer 1,2,0,1.4: only the last layer may be a half space: add its thickness in mm
 ! `dipole mc --help` says more.
-? 2
-
-$ dipole mc --layer 1,2,0,1.4 --g 0.5
 ! dipole mc: --layer gives a layer whole: leave --medium, --channel, --sigma-a, --sigma-s, --g, --eta and --thickness out
 ! `dipole mc --help` says more.
-? 2
 
 $ dipole mc --layer 1,2,0,1.4,1 --layer 1,2,0,-1 --photons 1
 ! dipole mc: bad-value: eta of layer 2 of medium 1: allowed: 0.001 to 1000 (--layer)

@@ -71,102 +71,66 @@ per unit of power launched: values times 1 - ((eta - 1) / (eta + 1))^2 = 0.98298
                                       r (mm)
            +..*..+better, red   +..o..+better, green +..+..+better, blue
 
-$ dipole plot
+$ for one in '' '--medium skin1 --axes log' '--medium skin1 --quantity colour' '--medium skin1 --quantity albedo' '--medium skin1 --error --thickness 1' '--medium skin1 --plot r.pdf' '--medium skin1 --r 1 --to 3' '--medium skin1 --axes linear --log' '--medium skin1 --f 1' '--medium skin1 --mc 0' '--medium skin1 --mc 1e3 --r 1,2' '--medium skin1 --mc 1e3 --quantity cdf' '--medium skin1 --mc 1e3 --count 4097' '--medium skin1 --mc 1e3 --from 3 --to 2' '--medium skin1, --model better'; do dipole plot $one || echo $?; done
+2
+2
+2
+2
+2
+2
+2
+2
+2
+2
+2
+2
+2
+2
+2
 ! dipole plot: give --medium NAME, or --sigma-a and --sigma-s, or --layer
 ! `dipole plot --help` says more.
-? 2
-
-$ dipole plot --medium skin1 --axes log
 ! dipole plot: --axes: 'log' is unknown; they are linear, semilog and logarithmic
 ! `dipole plot --help` says more.
-? 2
-
-$ dipole plot --medium skin1 --quantity colour
 ! dipole plot: --quantity: 'colour' is unknown; this daemon has R, albedo, cdf, r, ...
 ! `dipole plot --help` says more.
-? 2
-
-$ dipole plot --medium skin1 --quantity albedo
 ! dipole plot: --quantity albedo: there is no curve of it over r; name another quantity
 ! `dipole plot --help` says more.
-? 2
-
-$ dipole plot --medium skin1 --error --thickness 1
 ! dipole plot: --error compares with transport, which has no slabs: leave --thickness out
 ! `dipole plot --help` says more.
-? 2
-
-$ dipole plot --medium skin1 --plot r.pdf
 ! dipole plot: --plot r.pdf: the name must end in .svg or .png; - is the terminal
 ! `dipole plot --help` says more.
-? 2
-
-$ dipole plot --medium skin1 --r 1 --to 3
 ! dipole plot: --r gives the radii one by one: leave --from, --to, --count and --log out
 ! `dipole plot --help` says more.
-? 2
-
-$ dipole plot --medium skin1 --axes linear --log
 ! dipole plot: --log needs --from, above 0
 ! `dipole plot --help` says more.
-? 2
-
-$ dipole plot --medium skin1 --f 1
 ! dipole plot: what ends with _f is at the spatial frequencies of --f, all else at the radii of --r: request one of both
 ! `dipole plot --help` says more.
-? 2
-
-$ dipole plot --medium skin1 --mc 0
 ! dipole plot: --mc: give a whole number of photons from 1 to 9e15, such as 1e6
 ! `dipole plot --help` says more.
-? 2
-
-$ dipole plot --medium skin1 --mc 1e3 --r 1,2
 ! dipole plot: --mc draws means of R over rings: give --from, --to and --count in place of --r, --f and --quantity
 ! `dipole plot --help` says more.
-? 2
-
-$ dipole plot --medium skin1 --mc 1e3 --quantity cdf
 ! dipole plot: --mc draws means of R over rings: give --from, --to and --count in place of --r, --f and --quantity
 ! `dipole plot --help` says more.
-? 2
-
-$ dipole plot --medium skin1 --mc 1e3 --count 4097
 ! dipole plot: --mc: give 1 to 4096 rings, from --from, 0 or more, to --to, which is larger
 ! `dipole plot --help` says more.
-? 2
-
-$ dipole plot --medium skin1 --mc 1e3 --from 3 --to 2
 ! dipole plot: --mc: give 1 to 4096 rings, from --from, 0 or more, to --to, which is larger
 ! `dipole plot --help` says more.
-? 2
-
-$ dipole plot --medium skin1, --model better
 ! dipole plot: --medium: '' is unknown; this daemon has apple, chicken1, chicken2, cream, ketchup, marble, potato, skimmilk, skin-dark, skin-light, skin-medium, skin1, skin2, spectralon, wholemilk
 ! `dipole plot --help` says more.
-? 2
 
-$ dipole plot --medium skin1 --to -1
+$ for one in '--medium skin1 --to -1' '--medium skin1 --quantity dR_dr --model better' '--medium skin1 --model single --r 0' '--sigma-a 0.1 --sigma-s 1 --eta 5 --model better --error' '--sigma-a 0.05 --sigma-s 50 --g 0.995 --eta 1.4 --model better --error'; do dipole plot $one || echo $?; done
+1
+1
+1
+1
+1
 ! dipole plot: bad-value: radius_stop: allowed: at least radius_start, finite (--to)
-? 1
-
-$ dipole plot --medium skin1 --quantity dR_dr --model better
 ! dipole plot: --plot: dR_dr (1/mm^3) is 0, negative or infinite everywhere, which these axes do not show: try other radii, or `dipole plot --axes linear`
-? 1
-
-$ dipole plot --medium skin1 --model single --r 0
 ! dipole plot: --plot: R (1/mm^2 per unit of power that entered) is 0, negative or infinite everywhere, which these axes do not show: try other radii, or `dipole plot --axes linear`
-? 1
-
-$ dipole plot --sigma-a 0.1 --sigma-s 1 --eta 5 --model better --error
 ! dipole plot: transport is left out: bad-value: eta: allowed: 0.25 to 4 with transport (--eta)
 ! dipole plot: --error: there is nothing to compare with: leave --error out
-? 1
-
-$ dipole plot --sigma-a 0.05 --sigma-s 50 --g 0.995 --eta 1.4 --model better --error
 ! dipole plot: transport is left out: bad-value: g: allowed: -0.98 to 0.99 with transport (--g)
 ! dipole plot: --error: there is nothing to compare with: leave --error out
-? 1
 
 $ dipole plot --medium skin1 --channel red --model better --error --r 1,2,4 --plot a.svg; grep -o 'transport\|>better<' a.svg | sort | uniq -c
       1 >better<

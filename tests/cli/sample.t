@@ -50,35 +50,25 @@ model,channel,sigma_a,sigma_s,g,eta,u,albedo,cdf,r,pdf,numerical_error,model_err
 transport,1,0.032,0.74,0,1.3,0.58293027,0.43945764501319085,0.5829253,2.4647195,0.13625905,8.30018799703575e-5,0,8.30018799703575e-5,0,8.30018799703575e-5,0,8.30018799703575e-5,0,lut,
 transport,1,0.032,0.74,0,1.3,0.45244187,0.43945764501319085,0.452437,1.6285086,0.17802525,8.30018799703575e-5,0,8.30018799703575e-5,0,8.30018799703575e-5,0,8.30018799703575e-5,0,lut,
 
-$ dipole sample
+$ for one in '' '--medium skin1 --u 0.5 --count 3' '--medium skin1 --u half' '--medium skin1 --count -1' '--medium skin1 --draw lots' '--medium skin1 --draw list'; do dipole sample $one || echo $?; done
+2
+2
+2
+2
+2
+2
 ! dipole sample: give --medium NAME, or --sigma-a and --sigma-s, or --layer
 ! `dipole sample --help` says more.
-? 2
-
-$ dipole sample --medium skin1 --u 0.5 --count 3
 ! dipole sample: --u gives the numbers one by one: leave --count, --draw, --seed and --first out
 ! `dipole sample --help` says more.
-? 2
-
-$ dipole sample --medium skin1 --u half
 ! dipole sample: --u: 'half' is no decimal number
 ! `dipole sample --help` says more.
-? 2
-
-$ dipole sample --medium skin1 --count -1
 ! dipole sample: --count: '-1' is no whole number
 ! `dipole sample --help` says more.
-? 2
-
-$ dipole sample --medium skin1 --draw lots
 ! dipole sample: --draw: 'lots' is unknown; this daemon has list, regular, stratified, random
 ! `dipole sample --help` says more.
-? 2
-
-$ dipole sample --medium skin1 --draw list
 ! dipole sample: --draw list: give the numbers with --u
 ! `dipole sample --help` says more.
-? 2
 
 $ dipole sample --medium skin1 --u 0.5,1.5
 ! dipole sample: bad-value: u number 2 of 2: allowed: 0 to 1, both included (--u)
@@ -99,3 +89,39 @@ $ dipole sample --medium skin1 --draw regular --first 3
 $ dipole sample --medium skin1 --model gaussians
 ! dipole sample: bad-value: model: allowed: a model that covers all radii (--model)
 ? 1
+
+## Options reach the requests of all commands.
+$ printf 'sample,r,R,error\na,.5,.02,.0004\na,1,.006,.0001\na,2,.001,.00002\n' > a.csv; printf 'x,y,z,power\n0,0,0,1\n' > p.csv; printf 'Pf\n1 1\n-1.0\n\0\0\0\077' > i.pfm
+
+$ M='--sigma-a .03 --sigma-s 1'; for one in "eval $M" "sample $M" "table $M --output x" 'invert --albedo .4 --mean-free-path 1' 'texture i.pfm o.pfm --mean-free-path 1' "gather p.csv p.csv $M" 'fit a.csv'; do dipole $one --model better --eta 3 --moments fit; done; for one in "sample $M" "table $M --output x" "bench --seconds .01 $M" 'texture i.pfm o.pfm --mean-free-path 1' 'fit a.csv --eta 1.4'; do dipole $one --model better --surface-albedo .5; done
+! dipole eval: bad-value: eta: allowed: 0.195 to 2.485 with moments fit (--eta)
+! dipole sample: bad-value: eta: allowed: 0.195 to 2.485 with moments fit (--eta)
+! dipole table: bad-value: eta: allowed: 0.195 to 2.485 with moments fit (--eta)
+! dipole invert: bad-value: eta: allowed: 0.195 to 2.485 with moments fit (--eta)
+! dipole texture: bad-value: eta of medium 1 of 3: allowed: 0.195 to 2.485 with moments fit (--eta)
+! dipole gather: bad-value: eta: allowed: 0.195 to 2.485 with moments fit (--eta)
+! dipole fit: bad-value: eta of medium 1 of 3: allowed: 0.195 to 2.485 with moments fit (--eta)
+! dipole sample: bad-value: surface_albedo: allowed: nothing: this model does not take it (--surface-albedo)
+! dipole table: bad-value: surface_albedo: allowed: nothing: this model does not take it (--surface-albedo)
+! dipole bench: bad-value: surface_albedo: allowed: nothing: this model does not take it (--surface-albedo)
+! dipole texture: bad-value: surface_albedo: allowed: nothing: this model does not take it (--surface-albedo)
+! dipole fit: bad-value: surface_albedo: allowed: nothing: this model does not take it (--surface-albedo)
+? 1
+
+$ M='--sigma-a .03 --sigma-s 1'; for one in "sample $M --count 65536" 'texture i.pfm o.pfm --mean-free-path 1' "gather p.csv p.csv $M" 'fit a.csv'; do dipole $one --g .871 --eta 1.371 --deadline-ms 1; done
+! dipole sample: deadline: the reply would come later than the deadline: deadline_ms: allowed: more milliseconds, or 0 for no limit (--deadline-ms)
+! dipole texture: deadline: the reply would come later than the deadline: deadline_ms: allowed: more milliseconds, or 0 for no limit (--deadline-ms)
+! dipole gather: ...deadline_ms... (--deadline-ms)
+! dipole fit: deadline: the reply would come later than the deadline: deadline_ms: allowed: more milliseconds, or 0 for no limit (--deadline-ms)
+? 1
+
+$ for one in --mean --diffuse-mean '--extinction --g .5' '--mean --g .5' '--mean --light diffuse' '--mean --light diffuse --specular' '--mean --gamma .6 --g .5' '--mean --moments fit --model better --eta 2' '--mean --unit 2'; do dipole texture i.pfm o.pfm --coefficients sigma_a $(echo $one | sed 's/mean/&-free-path 1/; s/extinction/&-path 1/'); od -An -tf4 -j 12 o.pfm; done
+     0.028738452
+      0.09927127
+     0.014202105
+     0.028006459
+     0.032078914
+     0.039067037
+     0.032223113
+    0.0048104483
+     0.014369226

@@ -94,6 +94,8 @@ static void check_gather(dipole_client *client, unsigned transport) {
   CHECK(!dipole_gather(client, &query, NULL, NULL, part, NULL, &error) &&
         error.kind == DIPOLE_ERROR_REFUSED);
   CHECK(strcmp(error.field, "deadline_ms") == 0);
+  query.query_count = 0, query.deadline_ms = 0;
+  CHECK(dipole_gather(client, &query, NULL, NULL, part, &some, &error) && some.computed_count == 0);
   dipole_points_free(points);
 }
 

@@ -182,11 +182,13 @@ def test_files_that_are_wrong(tmp_path):
 
 
 def test_colours_without_a_medium(tmp_path):
-    colours = np.full((2, 3, 3), 0.5)
-    colours[1, 2, 1] = 1.25
+    colours = np.full((420, 420, 3), 0.5)  # in three requests: none is missing of the first
+    colours[250, 2, 1] = 1.25
+    colours[419, 419, 2] = np.nan
     write_pfm(tmp_path / "in.pfm", colours)
     run = texture(tmp_path / "in.pfm", tmp_path / "out.pfm", "--model", "better",
                   "--mean-free-path", "1", status=BAD_ROWS)
-    assert "1 of 18 values" in run.stderr and "green of column 2, row 1" in run.stderr
+    assert f"2 of 529200 values are NaN in what was written: no medium has their colour, which is from" in run.stderr
+    assert "; the first is green of column 2, row 250: " in run.stderr
     sigma_a = read_pfm(tmp_path / "out.sigma_a.pfm")
-    assert np.count_nonzero(np.isnan(sigma_a)) == 1 and np.isnan(sigma_a[1, 2, 1])
+    assert np.argwhere(np.isnan(sigma_a)).tolist() == [[250, 2, 1], [419, 419, 2]]
