@@ -276,10 +276,11 @@ def test_tables_larger_than_a_frame(daemon):
 
 
 def test_memory_is_from_the_budget(daemon):
-    with daemon("--max-total-bytes", "1048576").connect() as connection:
+    with daemon("--max-total-bytes", "1048576", "--max-mc-jobs", "1").connect() as connection:
         large = mc_payload(edges=Grid(0.0, 5.0, 4097), albedos=[0.5] * 16)
         reply = ask(connection, MC, large)
         assert_error(reply, "busy", "max_total_bytes", "fewer bytes")
+        assert wire.ERROR.unpack(reply.payload).retry_after_ms == 1000
         connection.send_bytes(frame(MC, 77, mc_payload()))
         assert receive_table(connection).state == "photons"
         assert_serves(connection)

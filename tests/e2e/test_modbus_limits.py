@@ -216,10 +216,9 @@ def test_one_too_many(daemon):
 
 # ---- access --------------------------------------------------------------------------------------
 
-# tests/unit/test_modbus.c tries more networks.
-
 
 def test_who_is_not_allowed(daemon):
+    """tests/unit/test_modbus.c tries more networks."""
     one = daemon(*TCP, "--modbus-allow", "10.0.0.0/8")
     with Tcp(one) as master:
         peer = master.own_address()
@@ -238,13 +237,13 @@ def test_a_refused_request_is_in_the_log(daemon):
         for at, pdu, code in [
             (AT["SIGMA_S"], struct.pack(">BHHBf", 16, AT["SIGMA_S"], 2, 4, -1.0), BAD_VALUE),
             (60000, struct.pack(">BHH", 3, 60000, 1), BAD_ADDRESS),
-            ("-", b"\x18", 1),
+            ("-", b"\x18", 1), ("-", b"\x2b\x0e\x05\x00", BAD_VALUE),
         ]:
             with exception(code):
                 master.ask(pdu, 9)
             asked = f"function={pdu[0]} exception={code} address={at} unit=9 peer={peer}"
             assert one.has_line(f"event=modbus-request-refused {asked}")
-    assert sum("event=modbus-request-refused" in line for line in one.log) == 3
+    assert sum("event=modbus-request-refused" in line for line in one.log) == 4
 
 
 WRITES = [
@@ -274,7 +273,8 @@ def test_who_may_write(daemon):
 
 
 def test_addresses_from_the_environment(daemon):
-    env = {"DIPOLED_MODBUS": "tcp:127.0.0.1:0;tcp:127.0.0.1:0", "DIPOLED_MODBUS_ALLOW_WRITE": "10.0.0.0/8"}
+    """Two have the same registers."""
+    env = {"DIPOLED_MODBUS": "tcp:127.0.0.1:0;tcp:127.0.0.1:0", "DIPOLED_MODBUS_ALLOW_WRITE": "127.0.0.2"}
     env["DIPOLED_MODBUS_ALLOW"] = "127.0.0.2,127.0.0.1"
     one = daemon(env=env)
     urls = [url for url in one.urls if url.startswith("modbus-tcp:")]
@@ -282,13 +282,8 @@ def test_addresses_from_the_environment(daemon):
     for url in urls:
         with Tcp(url) as master, pytest.raises(Exception_):
             master.write_one(0, 1)
-
-
-def test_two_addresses_have_the_same_registers(daemon):
-    one = daemon(*TCP, "--modbus", "tcp:127.0.0.1:0")
-    first, second = [url for url in one.urls if url.startswith("modbus-tcp:")]
-    with Tcp(first) as one_master, Tcp(second) as other:
-        one_master.write(AT["ETA"], floats(1.25), 9)
+    with Tcp(urls[0], source="127.0.0.2") as may, Tcp(urls[1]) as other:
+        may.write(AT["ETA"], floats(1.25), 9)
         assert other.read(AT["ETA"], 2, 9) == floats(1.25)
 
 

@@ -17,7 +17,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from daemons import eventually, read_log_line, sanitized
+from daemons import eventually, read_log_line, run, sanitized
 from modbus_master import (
     AT, BAD_ADDRESS, BAD_FUNCTION, READ_HOLDING, TCP, WRITE_REGISTER, WRITE_REGISTERS, Rtu, Tcp,
     as_words, checksum, exception, input_block, words,
@@ -249,8 +249,13 @@ def test_a_device_that_is_missing_at_the_start(daemon, tmp_path, there):
     line.close()
 
 
-def test_stopping_while_a_device_is_missing(daemon):
-    daemon("--modbus", "rtu:/nonexistent/tty,19200,N").terminate()
+def test_stopping_while_devices_are_missing(daemon):
+    """As many as there may be, with all that their options take."""
+    rates = [1200, 2400, 4800, 9600, 19200, 38400, 57600, 115200, 230400, 460800, 921600]
+    settings = [*map(str, rates), "1200,O2,247,rts=low,rts-delay-ms=1000", *["9600,N1"] * 20]
+    lines = [f"--modbus=rtu:/nonexistent/{i},{one}" for i, one in enumerate(settings)]
+    daemon(*lines).terminate()
+    assert "--modbus can be given 32 times at most" in run(*lines, lines[0]).stderr
 
 
 def test_stopping_while_the_device_is_away(daemon, line):
