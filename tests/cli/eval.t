@@ -479,10 +479,10 @@ $ dipole eval --sigma-a 0.032 --sigma-s 0.74 --r 1 --model all,better --thicknes
 ! dipole eval: model better: bad-value: thickness: allowed: 0, a half space, with this model: transport and multipoles take slabs (--thickness)
 ? 1
 
-$ dipole eval --layer 2,5,0.8,1.4,0.05 --layer 0.1,10,0.8,1.33 --model transport --evaluator f64 --tolerance 0.1 --r 1,2 --format csv
+$ dipole eval --layer 2,5,0.8,1.4,0.05 --layer 0.1,10,0.8,1.4 --model transport --evaluator f64 --tolerance 0.1 --r 1,2 --format csv
 model,channel,layers,r,R,albedo,numerical_error,model_error,numerical_error_R,model_error_R,numerical_error_albedo,model_error_albedo,evaluator,notes
-transport,1,"2,5,0.8,1.4,0.05 0.1,10,0.8,1.33",1,0.018081981395946824,0.26891812467807413,0.0034676647812534422,0,0.0034676647812534422,0,5.625330400031062e-7,0,f64,
-transport,1,"2,5,0.8,1.4,0.05 0.1,10,0.8,1.33",2,0.003222069817184719,0.26891812467807413,0.0034676647812534422,0,0.0034676647812534422,0,5.625330400031062e-7,0,f64,
+transport,1,"2,5,0.8,1.4,0.05 0.1,10,0.8,1.4",1,0.016835318686629467,0.25048023025180277,0.003424872195986167,0,0.003424872195986167,0,2.7029064947531624e-8,0,f64,
+transport,1,"2,5,0.8,1.4,0.05 0.1,10,0.8,1.4",2,0.0030647843782719048,0.25048023025180277,0.003424872195986167,0,0.003424872195986167,0,2.7029064947531624e-8,0,f64,
 
 $ dipole eval --model transport $(for i in 1 2 3 4 5 6 7 8 9; do echo --layer 1,1,0,1.4,1; done)
 ! dipole eval: --layer: 9 layers: give at most 8
@@ -546,7 +546,7 @@ $ printf '1.0\n1\n' > a.mci; printf '1.0\n1\na.mco A\n1\n.1 .1\n1 1 1\n9\n1\n' >
 ! dipole eval: b.mci:8: 9 layers: allowed: 1 to 8
 ! dipole eval: c.mci:9: '1.4 1 10 .8 .1 5': expected n, mua, mus, g and d of a layer, in cm
 
-$ dipole eval --layer 0,1,0,1.4,1.01e-4 --layer 0,1e-6,0,1.3 --r 1 --tolerance 1
+$ dipole eval --layer 0,1,0,1.4,1.01e-4 --layer 0,1e-6,0,1.4 --r 1 --tolerance 1
 ! dipole eval: bad-value: thickness of layer 1 of medium 1: allowed: thicker layers: R of these is not found; mc walks them (--layer)
 ? 1
 

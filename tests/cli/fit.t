@@ -110,14 +110,16 @@ by g: the largest change for g +- .05, since the readings may not determine g
 ? 3
 
 ## Layers: what is found, and what is refused.
-$ printf 'sample,r,R,error\ntwo,.3,.06261,.00062\ntwo,.5,.02737,.00028\ntwo,.8,.01292,.00013\ntwo,2,.002481,2.5e-5\ntwo,5,.000252,2.5e-6\nzero,1,.02,.001\nzero,2,.02,0\n' > two.csv; dipole fit two.csv --layer x,1,0,1.4,0.8 --layer .02,1,0,1.4
+$ printf 'sample,r,R,error\ntwo,.3,.06261,.00062\ntwo,.5,.02737,.00028\ntwo,.8,.01292,.00013\ntwo,2,.002481,2.5e-5\ntwo,5,.000252,2.5e-6\nzero,1,.02,.001\nzero,2,.02,0\n' > two.csv; dipole fit two.csv --layer x,1,0,1.4,0.8 --layer x,1,0,1.4
 model transport, moments exact, scale absolute
 
-sample  unknown       value     error   status   chi2  readings  numerical error  sample is
+sample  unknown       value     error   status  chi2  readings  numerical error  sample is
                    1/mm, mm  1/mm, mm
-------  ---------  --------  --------  -------  -----  --------  ---------------  ---------
-two     sigma_a_1   0.29993    0.0017   fitted  1.476         5          2.0e-03     fitted
-zero    sigma_a_1         -       inf  refused      -         2                -    refused
+------  ---------  --------  --------  -------  ----  --------  ---------------  ---------
+two     sigma_a_1   0.30171    0.0032   fitted  1.04         5          2.0e-03     fitted
+two     sigma_a_2  0.019379   0.00092   fitted  1.04         5          2.0e-03     fitted
+zero    sigma_a_1         -       inf  refused     -         2                -    refused
+zero    sigma_a_2         -       inf  refused     -         2                -    refused
 
 errors are standard errors, inf where a value is not fitted; chi2 is the sum of the squares of (reading - fit) / error
 ! dipole fit: sample zero: reading 2 (line 8): bad-value: errors: allowed: above 0, and finite
@@ -199,12 +201,10 @@ $ dipole eval --sigma-a 0.01 --sigma-s 1 --eta 1.4 --model better --r 0.5,1,2,4 
 sigma_a,sigma_s_prime,scale,status
 0.04999999926800088,0.9999998431541128,1,fitted
 
-$ dipole fit two.csv $(for i in 1 2 3 4 5 6 7 8 9; do echo --layer x,1,0,1.4,1; done); dipole eval --layer .3,1,0,1.4,.8 --layer .02,1,0,1.4 --r .2,.5,1,2,5 --wanted R --format csv | awk -F, '{ R = $(NF - 4); print $(NF - 5) "," R "," (NR > 1 ? R / 100 : "error") }' | dipole fit --layer x,1,0,1.4,0.8 --layer x,1,0,1.4 --format csv | cut -d, -f1-5
-sample,unknown,value,error,status
-1,sigma_a_1,0.3000012480577316,0.003237649018344789,fitted
-1,sigma_a_2,0.01999981279346008,9.487318849285859e-4,fitted
+$ dipole fit two.csv $(for i in 1 2 3 4 5 6 7 8 9; do echo --layer x,1,0,1.4,1; done)
 ! dipole fit: --layer: 9 layers: give at most 8
 ! `dipole fit --help` says more.
+? 2
 
 $ for i in a b c d e f g h i; do sed 1d skin.csv | sed s/skin/$i/; done | cat - | sed '1s/^/sample,r,R,error\n/' | dipole fit --model better --eta 1.4 --plot nine.svg --format csv | wc -l
 10

@@ -434,7 +434,7 @@ $ dipole media --connect private:/nonexistent
 ? 1
 
 ## The help of each command has its use, examples, the exit status and the options of all, in 100 columns.
-$ for one in eval plot points sample invert fit texture table mc media info top bench; do dipole $one --help > text; dipole help $one | cmp - text; awk 'length > 100' text; head -n 1 text | grep -o '^Usage: dipole '; sed '1,/^Examples$/d' text | grep -o -m 1 "^  dipole $one" | cut -c 1-8; grep -o 'Exit status: 0 ' text; grep -o -e '^  --connect ADDRESS' -e '^  --format FORMAT' -e '^  --timeout-ms N' -e '^  --retry-ms N' -e '^  --help' text; done | sort | uniq -c
+$ for one in eval plot points sample invert fit texture table mc media info top bench; do dipole $one --help > text; awk 'length > 100' text; head -n 1 text | grep -o '^Usage: dipole '; sed '1,/^Examples$/d' text | grep -o -m 1 "^  dipole $one" | cut -c 1-8; grep -o 'Exit status: 0 ' text; grep -o -e '^  --connect ADDRESS' -e '^  --format FORMAT' -e '^  --timeout-ms N' -e '^  --retry-ms N' -e '^  --help' text; done | sort | uniq -c; dipole help mc > text; dipole mc --help | cmp - text
      12   --connect ADDRESS
      12   --format FORMAT
      12   --help
@@ -444,9 +444,8 @@ $ for one in eval plot points sample invert fit texture table mc media info top 
      12 Exit status: 0 
      12 Usage: dipole 
 ! dipole: there is no command 'top'; the commands are eval, plot, points, sample, invert, fit, texture, convert, bake, gather, table, mc, tissue, media, info, bench, help
-! dipole: there is no command 'top'; the commands are eval, plot, points, sample, invert, fit, texture, convert, bake, gather, table, mc, tissue, media, info, bench, help
 
 ## Each parameter is an option of both, but those of mc and fit.
-$ dipole info --format csv | sed -n 's/^parameters,\([^,]*\),.*/\1/p' | tr _ - | while read -r one; do for of in eval points; do dipole $of --help | grep -q -e "^  --$one " && echo $of; done; done | sort | uniq -c
+$ for of in eval points; do dipole $of --help > $of; done; dipole info --format csv | sed -n 's/^parameters,\([^,]*\),.*/\1/p' | tr _ - | while read -r one; do grep -l -e "^  --$one " eval points; done | sort | uniq -c
      13 eval
      13 points

@@ -164,9 +164,9 @@ class Daemon:
         """Opens a dipole.Connection, which sends no hello."""
         return dipole.Connection(self.url(scheme))
 
-    def client(self, scheme: str = "unix") -> dipole.Client:
+    def client(self, scheme: str = "unix", **how) -> dipole.Client:
         """Opens a dipole.Client."""
-        return dipole.Client(self.url(scheme))
+        return dipole.Client(self.url(scheme), **how)
 
     # ---- looking at it ---------------------------------------------------------------------------
 
@@ -215,6 +215,12 @@ class Daemon:
             return set(states) == {"T"}
 
         assert eventually(stands)
+
+    def stand(self, seconds: float) -> None:
+        """Lets a time pass in which the daemon cannot work."""
+        self.pause()
+        time.sleep(seconds)
+        self.process.send_signal(signal.SIGCONT)
 
     def kill(self) -> None:
         """Kills the daemon. close() then does not check its end."""
@@ -266,12 +272,14 @@ def run(*options: str, env: dict[str, str] | None = None) -> subprocess.Complete
 
 
 def eventually(condition, timeout_s: float = HANG_S, interval_s: float = 0.005) -> bool:
-    """Waits until a condition holds. Returns False if it does not hold before the timeout."""
-    deadline = time.monotonic() + timeout_s
+    """Waits until a condition holds, and looks less often the longer it waits. Returns False if it
+    does not hold before the timeout."""
+    begun = time.monotonic()
     while not condition():
-        if time.monotonic() > deadline:
+        waited_s = time.monotonic() - begun
+        if waited_s > timeout_s:
             return False
-        time.sleep(interval_s)
+        time.sleep(max(interval_s, min(0.05, waited_s / 10)))
     return True
 
 

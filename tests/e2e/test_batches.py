@@ -199,7 +199,7 @@ STEADY = {
     "better of three media": {"model": MODELS["better"], "media": [SKIN] * 3},
     "better, all that there is": {
         "model": MODELS["better"],
-        "media": [SKIN] * 3,
+        "radii": [0.1, 3.0],
         "wanted": sum(QUANTITIES.values()) - BALANCE,
         "parameters": [(PARAMETERS["mhz"].id, 100.0)],
     },

@@ -106,7 +106,7 @@ def connections():
 
 @pytest.mark.skipif(sanitized(), reason="the build is sanitized")
 def test_a_silent_connection_holds_a_kilobyte(daemon, connections):
-    one = daemon("--max-connections", "4096", env=dict.fromkeys(LEAKS, ""))  # with its own heap
+    one = daemon("--max-connections", "2048", env=dict.fromkeys(LEAKS, ""))  # with its own heap
     connections(one, 100)
     with one.client() as client:
 
@@ -115,8 +115,8 @@ def test_a_silent_connection_holds_a_kilobyte(daemon, connections):
             return one.resident_bytes()
 
         before = bytes_with(101)  # which holds what the first answers of this client take
-        connections(one, 3000)
-        assert bytes_with(3101) - before < 3000 * 1024
+        connections(one, CLIENTS)
+        assert bytes_with(CLIENTS + 101) - before < CLIENTS * 1024
 
 
 @pytest.mark.parametrize("workers", ["1", "4"])

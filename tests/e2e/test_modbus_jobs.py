@@ -344,7 +344,7 @@ def test_one_monte_carlo_job_too_many(daemon):
             commit_slow(master, "MC", 3)
         assert head(master, "MC", 3)[:3] == (ERROR, 0, BUSY_STATUS)
         assert b"Monte Carlo jobs" in master.read(AT["MC_ERROR_TEXT"], 40, 3)
-        with one.client() as client, pytest.raises(Refused, match="Monte Carlo jobs"):
+        with one.client(retry_s=0) as client, pytest.raises(Refused, match="Monte Carlo jobs"):
             client.mc((0.1, 0.9, 0.0, 1.3), Grid(0.0, 1.0, 3), photons=1)
         master.write_one(AT["MC_CANCEL"], 1, 1)
         assert ended(master, "MC", 1).status == CANCELLED
@@ -374,11 +374,12 @@ def test_an_mc_ends_when_no_request_names_its_unit(daemon):
     one = daemon(*TCP, "--max-mc-jobs", "1", "--modbus-idle-timeout-ms", "2000")
     with Tcp(one) as master:
         commit_slow(master, "MC")
-        begun = time.monotonic()
-        while time.monotonic() < begun + 3:
+        for _ in range(8):
+            one.stand(0.3)
             assert head(master, "MC").status == IS_BUSY
         assert eventually(lambda: numbers(master, "MC_PROGRESS", 1)[0] > 0)
         commit_slow(master, "INVERT")  # jobs that keep no place from others go on
+    one.stand(2.0)
     with one.client() as client:
         medium = (0.1, 0.9, 0.0, 1.3)
         assert eventually(lambda: client.statistics()["mc_jobs_open"] == 0)

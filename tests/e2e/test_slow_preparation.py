@@ -51,6 +51,8 @@ def test_long_work_is_no_silence(daemon):
         slab = {"model": info.choices["model"]["better-multipole"].id, "thickness": 3.0}
         sets = fit_payload([READINGS] * 1000, **slab)
         fitting.send_bytes(frame(wire.MESSAGES["fit"], 8, sets))
+        assert client.ping() > 0
+        one.stand(5.2)
         assert connection.receive_frame() == Frame(PING | wire.REPLY, 7, b"")
         assert fitting.receive_frame() == Frame(PING | wire.REPLY, 8, b"")
     exchange = Exchange(0)
