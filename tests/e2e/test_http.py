@@ -808,6 +808,9 @@ def test_many_requests_over_one_connection(served):
         assert connection.getresponse().read()
         socks.add(connection.sock)
     assert len(socks) == 1
+    with served.client() as client:  # a second of silence, and its buffers are free
+        held = client.statistics()["buffer_bytes"]
+        assert eventually(lambda: client.statistics()["buffer_bytes"] < held)
     connection.close()
 
 
@@ -880,14 +883,18 @@ def test_idle_and_slow_clients_leave_the_binary_protocol_alone(daemon):
 
 
 def test_an_abandoned_job_ends(daemon):
-    one = daemon("--http", "127.0.0.1:0", "--workers", "1")
-    body = json.dumps({"model": "transport", "given": "mean-free-path", "g": 0, "eta": 1.37,
-                       "albedo": [0.1 + 0.01 * i for i in range(40)], "length": [1] * 40}).encode()
-    with socket.create_connection(address(one), TIMEOUT_S) as sock:
-        sock.sendall(b"POST /v1/invert HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/json\r\n"
-                     b"Content-Length: %d\r\n\r\n" % len(body) + body)
-        time.sleep(0.3)
-    assert _serves(one)  # The daemon stops at once at the end of the test, or close() says so.
+    one = daemon("--http", "127.0.0.1:0", "--workers", "1", "--frame-timeout-ms", "400")
+    x = list(range(16_000))
+    sent = good(post(one, "/v1/points", x=x, y=0, z=0, power=1))
+    body = json.dumps({"set": sent["set"], "x": x, "y": 1, "z": 1, "tolerance": 0, "model": "better", "evaluator": "f64", **SKIN}).encode()
+    with one.client() as client:
+        gathered = lambda: client.statistics()["queries_gathered"]
+        with socket.create_connection(address(one), TIMEOUT_S) as sock:
+            sock.sendall(b"POST /v1/gather HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/json\r\n"
+                         b"Content-Length: %d\r\n\r\n" % len(body) + body)
+            assert eventually(lambda: gathered() > 0)
+        assert eventually(lambda: client.statistics()["owed_radii"] == 0) and gathered() < len(x)
+    assert _serves(one)
 
 
 def test_a_running_request_is_answered_when_the_daemon_stops(daemon):
