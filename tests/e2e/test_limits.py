@@ -68,27 +68,25 @@ def test_request_beyond_the_largest_size(small_frames, radii):
     assert_serves(small_frames)
 
 
-def test_max_radii(daemon):
-    with daemon("--max-radii", "1000").connect() as connection:
+def test_max_radii_and_max_media(daemon):
+    with daemon("--max-radii", "1000", "--max-media", "3").connect() as connection:
         for radii in ({"radii": [1.0] * 1000}, {"radii": None, "radius_count": 1000}):
             assert ask(connection, EVAL, eval_payload(**radii)).type == EVALUATED
         for radii in ({"radii": [1.0] * 1001}, {"radii": None, "radius_count": 1001}):
             reply = ask(connection, EVAL, eval_payload(**radii))
             assert_error(reply, "too-large", "radius_count", "at most 1000 radii")
+        assert ask(connection, EVAL, eval_payload([SKIN] * 3)).type == EVALUATED
+        reply = ask(connection, EVAL, eval_payload([SKIN] * 4))
+        assert_error(reply, "too-large", "medium_count", "at most 3")
         assert_serves(connection)
 
 
-def test_more_parts_than_can_be_counted(daemon):
-    """A request is refused if it has too many parts: 2^40 radii in parts of 256 would be 2^32."""
-    with daemon("--max-part-bytes", "4096").connect() as connection:
-        payload = eval_payload(radii=None, radius_count=2**40, wanted=R)
-        reply = ask(connection, EVAL, payload)
-        assert_error(reply, "too-large", "radius_count", f"at most {(2**32 - 1) * 256} radii")
-        assert_serves(connection)
-
-
-def test_media_that_do_not_fit_a_part(daemon):
+def test_answers_that_do_not_fit(daemon):
+    media = np.full((240, 2), (0.1, 1.0))
     with daemon("--max-frame-bytes", "8192", "--max-part-bytes", "4096").connect() as connection:
+        # 2^40 radii in parts of 256 would be 2^32 parts, which nobody can count.
+        reply = ask(connection, EVAL, eval_payload(radii=None, radius_count=2**40, wanted=R))
+        assert_error(reply, "too-large", "radius_count", f"at most {(2**32 - 1) * 256} radii")
         # These radii fit into a frame, but a part has no room for 256 radii of each medium.
         few = eval_payload([SKIN] * 2, radii=None, radius_count=400, wanted=R)
         assert wire.EVAL_REPLY.unpack(ask(connection, EVAL, few).payload).part_count == 1
@@ -98,30 +96,12 @@ def test_media_that_do_not_fit_a_part(daemon):
         # would not help.
         reply = ask(connection, EVAL, eval_payload(radii=None, radius_count=800, wanted=511))
         assert_error(reply, "too-large", "wanted", "max_part_bytes")
-        assert_serves(connection)
-
-
-def test_answers_that_do_not_fit(daemon):
-    media = np.full((240, 2), (0.1, 1.0))
-    with daemon("--max-frame-bytes", "8192", "--max-part-bytes", "4096").connect() as connection:
         for message, payload, field in [
             ("varying", varying_payload(media, np.ones(240), wanted=199, coefficients=7), "wanted"),
             ("tissue", tissue_payload(wavelengths=np.linspace(500, 900, 210)), "wavelength_count"),
             ("table", table_payload(), "tolerance"),
         ]:
             assert_error(ask(connection, wire.MESSAGES[message], payload), "too-large", field, "")
-
-
-def test_parts_are_no_larger_than_frames(daemon):
-    with daemon("--max-frame-bytes", "8192").client() as client:
-        assert client.info.limits["max_part_bytes"] == 8192
-
-
-def test_max_media(daemon):
-    with daemon("--max-media", "3").connect() as connection:
-        assert ask(connection, EVAL, eval_payload([SKIN] * 3)).type == EVALUATED
-        reply = ask(connection, EVAL, eval_payload([SKIN] * 4))
-        assert_error(reply, "too-large", "medium_count", "at most 3")
         assert_serves(connection)
 
 

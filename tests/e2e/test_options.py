@@ -56,6 +56,7 @@ def test_the_command_line_wins_over_the_environment(daemon):
     with daemon(*options, env=env).client() as client:
         limits = client.info.limits
         assert (limits["max_media"], limits["frame_timeout_ms"], limits["max_frame_bytes"]) == (5, 1234, 8192)
+        assert limits["max_part_bytes"] == 8192  # parts are no larger than frames
         assert (client.info.instruction_set, client.info.workers) == ("portable", 3)
 
 
