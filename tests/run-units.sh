@@ -3,8 +3,7 @@
 # processors. What a program prints goes into a log of its own in FOLDER. Shows the log of each
 # program that fails, and always those of the accuracy tests, whose tables of errors are a result.
 # A program may take UNIT_LIMIT_S seconds of a processor, and five times as long beside other work.
-# UNIT_LOADS is a library that each loads, as that of a sanitizer. Exits 1 when a program has failed,
-# after all have run.
+# Exits 1 when a program has failed, after all have run.
 set -u
 limit_s=${UNIT_LIMIT_S:-600}
 
@@ -12,7 +11,7 @@ if [ "$1" = --one ]; then
   name=$(basename "$(dirname "$3")")/$(basename "$3")
   log=$2/${name/\//-}.log
   start_ns=$(date +%s%N)
-  (ulimit -t "$limit_s" && exec timeout "$((5 * limit_s))" env LD_PRELOAD="${UNIT_LOADS-}" "$3") >"$log" 2>&1 </dev/null
+  (ulimit -t "$limit_s" && exec timeout "$((5 * limit_s))" "$3") >"$log" 2>&1 </dev/null
   status=$?
   tenths=$((($(date +%s%N) - start_ns) / 100000000))
   {

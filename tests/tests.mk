@@ -10,11 +10,10 @@ TEST_SUPPORT := $(call objects,$(filter-out $(wildcard tests/*/test_*.c) $(wildc
 
 $(TESTS): $(BUILD)/tests/%: $(OBJ)/tests/%.o $(TEST_SUPPORT) $(BUILD)/libdipole.a
 # Without the lines of the code, which take a third of the linker's time.
-$(TESTS): LIBS = -lcmocka $(TLS_LIBS) $(CORE_LIBS) $(TEST_LIBS) $(LEAKS) $(if $(SANITIZE),,-Wl,--strip-debug)
-# Memory that nothing can free any more is a failure of the test that lost it. What solves takes twice
-# as long so: it has the library in its long form alone. Daemons of tests/e2e solve with it, too.
-$(filter $(BUILD)/tests/unit/%,$(TESTS)) $(BUILD)/leaks/dipole: LEAKS = $(if $(SANITIZE),,-fsanitize=leak)
-$(filter $(BUILD)/tests/unit/%,$(TESTS)) $(BUILD)/leaks/dipole: $(if $(SANITIZE),,$(OBJ)/tests/unit/leaks.o)
+$(TESTS): LIBS = -lcmocka $(TLS_LIBS) $(CORE_LIBS) $(TEST_LIBS) $(if $(SANITIZE),,-Wl,--strip-debug)
+# Memory that nothing can free any more is a failure of the test that lost it. Daemons of tests/e2e load
+# scan.so.
+$(TESTS) $(BUILD)/leaks/dipole: $(if $(SANITIZE),,$(OBJ)/tests/unit/leaks.o)
 $(BUILD)/leaks/scan.so: $(OBJ)/tests/unit/leaks.o
 	@mkdir -p $(@D)
 	$(Q)$(CC) $(ALL_LDFLAGS) -shared -o $@ $<
@@ -43,7 +42,7 @@ $(BUILD)/dipoled-counting: $(SERVER) $(OBJ)/tests/e2e/count_allocations.o $(BUIL
 $(BUILD)/dipoled-counting: LIBS = -Wl,--wrap=malloc,--wrap=calloc,--wrap=realloc $(SERVER_LIBS) $(CORE_LIBS)
 # The command line, with the library that finds lost memory, and its private daemon without it.
 $(BUILD)/leaks/dipole: $(CLI) $(BUILD)/libdipole.a | $(addprefix $(BUILD)/leaks/,dipoled scan.so)
-$(BUILD)/leaks/dipole: LIBS = $(call libs,libpng lcms2 expat jansson) $(TLS_LIBS) $(CORE_LIBS) $(LEAKS)
+$(BUILD)/leaks/dipole: LIBS = $(call libs,libpng lcms2 expat jansson) $(TLS_LIBS) $(CORE_LIBS)
 $(BUILD)/leaks/dipoled:
 	@mkdir -p $(@D)
 	@ln -sf ../dipoled $@
@@ -111,10 +110,10 @@ check-unit: $(SHORT_TESTS) ## tests in C
 check-stacks: $(STACKS)
 	@bash tests/run-units.sh $(BUILD)/logs-nightly $(STACKS)
 
-# Those that have a long form, and what looks for lost memory in its long form alone.
+# Those that have a long form.
 LONG_TESTS := $(patsubst tests/%.c,$(BUILD)/tests/%,$(wildcard tests/accuracy/test_*.c) $(shell grep -l unit_is_long tests/unit/test_*.c))
-check-units-long: $(LONG_TESTS) $(BUILD)/leaks/scan.so
-	@UNIT_LONG=yes UNIT_LOADS=$(if $(SANITIZE),,$(abspath $(BUILD))/leaks/scan.so:$(shell $(CC) -print-file-name=liblsan.so)) bash tests/run-units.sh $(BUILD)/logs-nightly $(LONG_TESTS)
+check-units-long: $(LONG_TESTS)
+	@UNIT_LONG=yes bash tests/run-units.sh $(BUILD)/logs-nightly $(LONG_TESTS)
 
 check-bits: $(BUILD)/tests/bits ## the recorded bits from each instruction set
 	@sh tests/run-bits.sh $(BUILD) native

@@ -34,8 +34,8 @@ NAMES_ITS_MODEL = ("--model", "--tolerance", "--help")
 @functools.cache
 def shared() -> Daemon:
     """Returns the daemon that commands ask which name none: a private one each would start and solve
-    for itself. It looks for no lost memory, which makes solving slow."""
-    one = Daemon(env={"LD_PRELOAD": ""})
+    for itself."""
+    one = Daemon()
     atexit.register(one.close)
     return one
 

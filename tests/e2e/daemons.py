@@ -1,6 +1,5 @@
 """Starts a dipoled, reads its log, stops it, and checks that it ended well."""
 
-import ctypes.util
 import functools
 import os
 import shutil
@@ -42,9 +41,7 @@ def sanitized(*kinds: str) -> bool:
 dipole.library.PATH = str((REPOSITORY / "build" if sanitized() else BUILD) / "libdipole.so")
 
 # What makes a program say at its end which memory nobody can free any more, with exit status 23.
-_leaks = None if sanitized() else ctypes.util.find_library("lsan")
-_scan = [str(one) for one in [BUILD / "leaks/scan.so"] if one.exists()]  # makes it faster
-LEAKS = {"LD_PRELOAD": ":".join([*_scan, _leaks])} if _leaks else {}
+LEAKS = {} if sanitized() else {"LD_PRELOAD": str(BUILD / "leaks/scan.so")}
 
 # How long a daemon may take to stop. It finishes a running preparation first, which takes 0.1 s,
 # 1.4 s for transport that absorbs nothing, and up to 70 times as long under a sanitizer.

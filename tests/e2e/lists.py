@@ -81,9 +81,8 @@ BALANCE = QUANTITIES["balance"]  # of transport alone
 
 @functools.cache
 def asked() -> dipole.Client:
-    """Returns a client of a separate daemon, which answers questions about models. It looks for no lost
-    memory, which makes solving slow."""
-    daemon = Daemon(env={"LD_PRELOAD": ""})
+    """Returns a client of a separate daemon, which answers questions about models."""
+    daemon = Daemon()
     atexit.register(daemon.close)
     client = daemon.client()
     atexit.register(client.close)
