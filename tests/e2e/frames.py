@@ -214,10 +214,17 @@ def fit_tissue_payload(
     return packed(wire.FIT_TISSUE_REQUEST, counts | fixed, *lists)
 
 
+def receive_reply(connection: Connection) -> Frame:
+    """Receives the next frame but those that say that work goes on, every 5 s on a busy machine."""
+    while (one := connection.receive_frame())[::2] == (PING | wire.REPLY, b""):
+        pass
+    return one
+
+
 def ask(connection: Connection, type: int, payload: bytes = b"", request_id: int = 77) -> Frame:
     """Sends one request and waits for one frame."""
     connection.send_bytes(frame(type, request_id, payload))
-    return connection.receive_frame()
+    return connection.receive_frame() if type == PING else receive_reply(connection)
 
 
 def assert_error(

@@ -13,7 +13,7 @@ from dipole import Connection, Frame, Grid, Medium, wire
 from dipole.mc import pack_request
 from frames import (
     ALBEDO, BETTER, CDF, CLASSICAL, EVAL, F32, F64, INVERT, RADIUS, READINGS, SAMPLE, SKIN, R, ask,
-    eval_payload, fit_payload, frame, gather_payload, invert_payload, points_payload, sample_payload,
+    eval_payload, fit_payload, frame, gather_payload, invert_payload, points_payload, receive_reply, sample_payload,
     varying_payload,
 )
 from lists import MODELS
@@ -122,10 +122,8 @@ def receive_answer(connection: Connection) -> tuple[Frame, tuple[bytes, ...]]:
     reports of progress, nor of work that goes on, which may take 5 s on a busy machine."""
     frames: list[Frame] = []
     while not frames or not is_last(frames[-1]):
-        one = connection.receive_frame()
-        if (one.type, one.payload) != (wire.MESSAGES["ping"] | wire.REPLY, b""):
-            frames.append(one)
-            assert one[:2] == frames[0][:2], one[:2]
+        frames.append(receive_reply(connection))
+        assert frames[-1][:2] == frames[0][:2], frames[-1][:2]
     for one in frames if REPLIES.get(frames[0].type) else ():
         fixed = REPLIES[one.type].unpack(one.payload)._asdict()
         assert not any(np.less(value, 0).any() for name, value in fixed.items() if "error" in name), fixed

@@ -10,7 +10,7 @@ from daemons import Daemon, eventually
 from dipole import Connection, wire
 from frames import (
     ALBEDO, CDF, EVAL, F32, F64, LINEAR, LOGARITHMIC, RADIUS, SKIN, SPECTRALON, R, ask,
-    assert_serves, eval_payload, frame, statistics,
+    assert_serves, eval_payload, frame, receive_reply, statistics,
 )
 from lists import BALANCE, MODELS, PARAMETERS, QUANTITIES, everywhere
 
@@ -155,7 +155,7 @@ def batch_counts(connection: Connection) -> tuple[int, int]:
 def send_and_receive(connection: Connection, payload: bytes, times: int) -> None:
     connection.send_bytes(frame(EVAL, 1, payload) * times)
     for _ in range(times):
-        assert connection.receive_frame().type == EVALUATED
+        assert receive_reply(connection).type == EVALUATED
 
 
 def test_a_pipeline_is_evaluated_in_few_passes(daemon):

@@ -9,7 +9,7 @@ import pytest
 from daemons import LEAKS, eventually, sanitized
 from dipole import wire
 from frames import (
-    EVAL, PING, ask, assert_closed, assert_daemon_serves, assert_error, eval_payload, frame,
+    EVAL, PING, ask, assert_closed, assert_daemon_serves, assert_error, eval_payload, frame, receive_reply,
 )
 from lists import EVALUATORS, MODELS, PARAMETERS
 
@@ -173,7 +173,7 @@ def test_who_leaves_takes_nothing_along(daemon):
     assert under_way(counted)
     staying.send_bytes(request)
     leaving.close()
-    assert staying.receive_frame().type == REPLY
+    assert receive_reply(staying).type == REPLY
     staying.close()
     with one.connect() as later:
         assert ask(later, EVAL, slow()).type == REPLY
@@ -195,7 +195,7 @@ def test_stopping_answers_who_waits(daemon):
         assert under_way(counted)
         one.terminate()
         for connection in (first, second):
-            assert connection.receive_frame().type == REPLY
+            assert receive_reply(connection).type == REPLY
             assert_error(connection.receive_frame(), "shutting-down", "daemon", "another one", request_id=0)
             assert_closed(connection)
     assert one.wait() == 0
@@ -254,7 +254,7 @@ def test_a_client_that_ends_its_side_waits_for_no_solution(daemon):
     with one.connect("tcp") as connection:
         connection.send_bytes(frame(EVAL, 76, payload("better")) + frame(EVAL, 77, payload("transport", SOLVED)))
         connection.socket.shutdown(socket.SHUT_WR)
-        assert connection.receive_frame().type == REPLY
+        assert receive_reply(connection).type == REPLY
         assert_error(connection.receive_frame(), "cancelled", "connection", "one whose client may still send",
                      request_id=77)  # fmt: skip
         assert_closed(connection)

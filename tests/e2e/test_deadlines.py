@@ -10,7 +10,7 @@ from daemons import eventually
 from dipole import Frame, wire
 from frames import (
     EVAL, PING, SKIN, R, ask, assert_daemon_serves, assert_error, assert_serves, eval_payload, frame,
-    gather_payload, points_payload, statistics, table_payload,
+    gather_payload, points_payload, receive_reply, statistics, table_payload,
 )
 from lists import EVALUATORS, MODELS, PARAMETERS
 from messages import receive_answer
@@ -39,7 +39,7 @@ def test_time_runs_from_the_last_byte_on(connection):
         connection.send_bytes(data[:cut])
         time.sleep(0.35)
         connection.send_bytes(data[cut:])
-        return connection.receive_frame().type == EVALUATED
+        return receive_reply(connection).type == EVALUATED
 
     assert all(any(is_answered(cut) for _ in range(9)) for cut in (1, len(data) - 1))
 
@@ -158,7 +158,7 @@ def test_the_time_runs_from_the_arrival_behind_an_answer_in_parts(daemon):
         first, parts = receive_answer(connection)
         assert first.request_id == 76 and sum(wire.PART.unpack(one).count for one in parts) == 30_000_000
         assert_late(connection.receive_frame())
-        assert connection.receive_frame().type == EVALUATED
+        assert receive_reply(connection).type == EVALUATED
 
 
 # ---- clients -------------------------------------------------------------------------------------

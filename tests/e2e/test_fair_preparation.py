@@ -9,7 +9,7 @@ import pytest
 from beside import Beside
 from daemons import eventually
 from dipole import Medium, Stack, wire
-from frames import EVAL, PING, assert_error, assert_serves, eval_payload, frame
+from frames import EVAL, PING, assert_error, assert_serves, eval_payload, frame, receive_reply
 from modbus_master import BUSY, SLOW, TCP, Exception_, Tcp, input_block
 from test_http import post
 from test_metrics import fetch
@@ -53,7 +53,7 @@ TURNS = 4
 
 def client_waits(client) -> None:
     client.send_bytes(request())
-    assert client.receive_frame().type == EVAL | wire.REPLY
+    assert receive_reply(client).type == EVAL | wire.REPLY
 
 
 def master_waits(master: Tcp) -> None:
@@ -86,7 +86,7 @@ def test_a_master_gets_its_turns_beside_clients_that_ask_without_end(daemon):
         client.send_bytes(b"".join(request() for _ in range(200)))
 
         def ask_again() -> None:
-            kind = client.receive_frame().type
+            kind = receive_reply(client).type
             assert kind in (EVAL | wire.REPLY, PING | wire.REPLY)
             if kind == EVAL | wire.REPLY:
                 client.send_bytes(request())

@@ -11,7 +11,7 @@ from daemons import eventually, sanitized
 from dipole import Points, wire
 from frames import (
     EVAL, SKIN, R, ask, assert_daemon_serves, assert_error, assert_serves, eval_payload, frame,
-    gather_payload, points_payload, statistics, words,
+    gather_payload, points_payload, receive_reply, statistics, words,
 )
 from lists import MODELS
 from modbus_master import SLOW
@@ -329,7 +329,7 @@ def test_gathers_whose_readers_have_stopped_refuse_nobody(daemon):
             assert statistics(watcher)["queries_gathered"] < 16 * 55_000
         for connection in stopped:
             while True:
-                fixed = wire.GATHER_REPLY.unpack(connection.receive_frame().payload)
+                fixed = wire.GATHER_REPLY.unpack(receive_reply(connection).payload)
                 if fixed.part + 1 == fixed.part_count:
                     break
     finally:

@@ -9,7 +9,7 @@ from beside import Beside
 from daemons import eventually
 from dipole import Connection, wire
 from frames import EVAL, FIT_REQUEST, INVERT, RADIUS, READINGS, SAMPLE, SKIN, VARYING, R, ask
-from frames import assert_error, assert_serves, eval_payload, fit_payload, frame, invert_payload, sample_payload, statistics
+from frames import assert_error, assert_serves, eval_payload, fit_payload, frame, invert_payload, receive_reply, sample_payload, statistics
 from frames import varying_payload
 from lists import MODELS
 from messages import receive_answer
@@ -106,7 +106,7 @@ def test_a_few_connections_with_endless_work_keep_nobody_out(daemon):
             for type, large in ((SAMPLE, sample(1000)), (INVERT, invert(100))):
                 assert ask(other, type, large).type == type | wire.REPLY
             other.send_bytes(endless)  # A third connection may have an endless request, too.
-            assert other.receive_frame().type == EVALUATED
+            assert receive_reply(other).type == EVALUATED
 
 
 def test_other_workers_have_less_to_do(daemon):
@@ -116,7 +116,7 @@ def test_other_workers_have_less_to_do(daemon):
     with one.connect() as busy, one.connect() as other:
         start(busy, other, LONG)
         assert ask(other, EVAL, LARGE).type == EVALUATED
-        assert wire.PART.unpack(busy.receive_frame().payload).count == 1_000_000
+        assert wire.PART.unpack(receive_reply(busy).payload).count == 1_000_000
 
 
 @pytest.mark.parametrize("count", [2**31, 2**40])

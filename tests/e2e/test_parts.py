@@ -8,7 +8,7 @@ from daemons import eventually
 from dipole import wire
 from frames import (
     CDF, EVAL, F32, F64, R, ask, assert_closed, assert_daemon_serves, assert_error, assert_serves,
-    eval_payload, frame, statistics,
+    eval_payload, frame, receive_reply, statistics,
 )
 from lists import MODELS, PARAMETERS
 from messages import receive_answer
@@ -50,7 +50,7 @@ def test_a_reader_that_stops_costs_bounded_memory_and_no_time(daemon):
     with one.connect() as stuck, one.connect() as other:
         stuck.send_bytes(frame(EVAL, 1, eval_payload(**ENDLESS)))
         for _ in range(20):
-            assert stuck.receive_frame().type == EVALUATED
+            assert receive_reply(stuck).type == EVALUATED
         # The daemon evaluates only as much as it queues for this reader.
         assert eventually(lambda: settled(lambda: statistics(other)["radii_evaluated"]))
         limits = 4 * (1 << 20)  # max_queued_bytes, a part that had begun, and more
@@ -60,7 +60,7 @@ def test_a_reader_that_stops_costs_bounded_memory_and_no_time(daemon):
         evaluated = statistics(other)["radii_evaluated"]
         number = 20
         for _ in range(20):  # When the client reads again, the answer goes on where it stopped.
-            assert wire.PART.unpack(stuck.receive_frame().payload).part == number
+            assert wire.PART.unpack(receive_reply(stuck).payload).part == number
             number += 1
         assert eventually(lambda: statistics(other)["radii_evaluated"] > evaluated)
         assert statistics(other)["buffer_bytes"] < limits
@@ -76,7 +76,7 @@ def test_stopping_lets_an_answer_end(daemon):
         count = 20_000_000
         payload = eval_payload(radii=None, radius_count=count, wanted=R)
         connection.send_bytes(frame(EVAL, 77, payload))
-        first = wire.PART.unpack(connection.receive_frame().payload)
+        first = wire.PART.unpack(receive_reply(connection).payload)
         one.terminate()
         _, parts = receive_answer(connection)
         assert first.count + sum(wire.PART.unpack(part).count for part in parts) == count
@@ -111,7 +111,7 @@ def test_an_answer_that_memory_does_not_let_go_on(daemon):
             assert eventually(lambda: settled(evaluated))
             assert statistics(watcher)["buffer_bytes"] > 2 << 20
         second.send_bytes(frame(EVAL, 77, eval_payload(**ENDLESS)))
-        assert wire.PART.unpack(second.receive_frame().payload).part == 0
+        assert wire.PART.unpack(receive_reply(second).payload).part == 0
         assert_error(second.receive_frame(), "busy", "max_total_bytes", "fewer bytes")
         first.close()
         assert_serves(second)
