@@ -434,7 +434,11 @@ def test_faults_say_what_to_do(served):
         assert answer.status == 400, answer.text
         return answer.json
 
-    assert "or a name as medium" in refusal(get(served, "/v1/eval?r=1"))["allowed"]
+    with served.client() as client:
+        counted = lambda: np.array([client.statistics()[one] for one in ("requests_eval", "replies_bad-value")])
+        before = counted()
+        assert "or a name as medium" in refusal(get(served, "/v1/eval?r=1"))["allowed"]
+        assert (counted() - before).tolist() == [1, 1]
     unknown = refusal(get(served, "/v1/eval?model=best&medium=skin1&r=1"))["allowed"]
     assert "(better)" in unknown and unknown.endswith("/v1/models")
     twice = refusal(get(served, "/v1/eval?model=better&medium=skin1&r=1&r=2"))["allowed"]
