@@ -27,7 +27,7 @@ def test_a_private_daemon_serves_nobody_else(daemon, tmp_path):
     line = next(line for line in map(read_log_line, one.log) if line.get("event") == "metrics")
     taken = line["url"].removeprefix("http://").split("/")[0]
     env = {"DIPOLED": "private:", "DIPOLED_LISTEN": f"unix:{tmp_path}/s", "DIPOLED_METRICS": taken, "DIPOLED_HTTP": taken}
-    dipole("media", env={**env, "DIPOLED_MODBUS": one.url("modbus-tcp").removeprefix("modbus-")})
+    dipole("media", env={**env, "DIPOLED_SCPI": taken, "DIPOLED_MODBUS": one.url("modbus-tcp").removeprefix("modbus-")})
     assert not (tmp_path / "s").exists()
 
 
