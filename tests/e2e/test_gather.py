@@ -148,7 +148,7 @@ def test_parts_and_their_replies(shared):
 
 def test_sent_through_several_connections_at_a_time(daemon):
     one = daemon()
-    points, queries = scene(200_000, 2), positions(50)
+    points, queries = scene(100_000, 2), positions(50)
 
     async def gather() -> list[np.ndarray]:
         clients = [dipole.AsyncClient(one.url()) for _ in range(4)]
@@ -410,10 +410,10 @@ def test_parts_that_do_not_follow(shared):
 def test_a_hundred_clients_that_send_and_never_ask(daemon):
     """Unfinished sets share a budget, and finished ones another. What was sent and not finished is
     freed after a time."""
-    budget = 8_000_000
+    budget = 4_000_000
     one = daemon("--points-bytes", str(budget), "--frame-timeout-ms", "6000")
-    # Each client sends the half of another set, about 0.57 MB.
-    payload_of = lambda seed: points_payload(scene(38_000, seed=seed), 0, 19_000)  # noqa: E731
+    # Each client sends the half of another set, about 0.28 MB.
+    payload_of = lambda seed: points_payload(scene(19_000, seed=seed), 0, 9_500)  # noqa: E731
     first = payload_of(0)
     connections = [one.connect() for _ in range(100)]
     before = one.resident_bytes()
@@ -433,7 +433,7 @@ def test_a_hundred_clients_that_send_and_never_ask(daemon):
             assert refused > 50
             assert statistics(watcher)["points_sent_sets"] >= 8
             if not sanitized():
-                # The allocator may keep what 100 frames of 0.57 MB took, beside the budget.
+                # The allocator may keep what 100 frames of 0.28 MB took, beside the budget.
                 assert one.resident_bytes() - before < 10 * budget
             assert eventually(lambda: statistics(watcher)["points_sent_bytes"] == 0)
             assert statistics(watcher)["points_sent_sets"] == 0

@@ -663,6 +663,7 @@ def test_a_chunked_body_is_bounded(daemon):
             sock.sendall(head)
             while True:
                 sock.sendall(chunk)
+                time.sleep(0.01)
     assert sanitized() or one.resident_bytes() < before + 16 * 2**20
     assert good(get(one, "/healthz")) == {"status": "ok"}
 
