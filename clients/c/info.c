@@ -1,5 +1,6 @@
 /* Requests a daemon's description, its measured media and its statistics. */
 
+#include <assert.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -28,9 +29,10 @@ typedef struct info_block {
 static info_block *new_block(size_t choice_count, size_t limit_count, const char *address,
                              dipole_error *error) {
   const size_t address_bytes = strlen(address) + 1;
-  info_block *block =
-      calloc(1, sizeof *block + choice_count * (sizeof(dipole_choice) + sizeof(wire_choice)) +
-                    limit_count * (sizeof(dipole_value) + sizeof(wire_value)) + address_bytes);
+  const size_t bytes = sizeof(info_block) +
+                       choice_count * (sizeof(dipole_choice) + sizeof(wire_choice)) +
+                       limit_count * (sizeof(dipole_value) + sizeof(wire_value)) + address_bytes;
+  info_block *block = calloc(1, bytes);
   if (block == NULL) {
     libdipole_fail_memory(error);
     return NULL;
@@ -40,6 +42,7 @@ static info_block *new_block(size_t choice_count, size_t limit_count, const char
   block->limit_texts = (wire_value *)(void *)(block->limits + limit_count);
   block->choice_texts = (wire_choice *)(void *)(block->limit_texts + limit_count);
   char *copy = (char *)(block->choice_texts + choice_count);
+  assert(copy + address_bytes == (char *)block + bytes);
   memcpy(copy, address, address_bytes);
   block->info = (dipole_info){.address = copy,
                               .choices = block->choices,

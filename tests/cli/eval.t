@@ -315,21 +315,15 @@ $ dipole eval --sigma-a 0.032 --sigma-s 0.74 --model better --r 1 --cos-in x
 ! `dipole eval --help` says more.
 ? 2
 
-$ dipole eval --sigma-a 0.032 --sigma-s 0.74 --model better --r 1 --cos-in 1.5
+$ for one in '--sigma-a 0.032 --sigma-s 0.74 --model better --r 1 --cos-in 1.5' '--sigma-a 0.032 --sigma-s 0.74 --model better --r 1 --cos-out nan' '--sigma-a 0.032 --sigma-s 0.74 --model better --r 1 --thickness 3' '--sigma-a 0.032 --sigma-s 0.74 --model better --r 1 --tolerance 2'; do dipole eval $one || echo $?; done
+1
+1
+1
+1
 ! dipole eval: model better: bad-value: cos_in: allowed: 0 to 1 (--cos-in)
-? 1
-
-$ dipole eval --sigma-a 0.032 --sigma-s 0.74 --model better --r 1 --cos-out nan
 ! dipole eval: model better: bad-value: cos_out: allowed: a number; a parameter that is not wanted is left out (--cos-out)
-? 1
-
-$ dipole eval --sigma-a 0.032 --sigma-s 0.74 --model better --r 1 --thickness 3
 ! dipole eval: model better: bad-value: thickness: allowed: 0, a half space, with this model: transport and multipoles take slabs (--thickness)
-? 1
-
-$ dipole eval --sigma-a 0.032 --sigma-s 0.74 --model better --r 1 --tolerance 2
 ! dipole eval: model better: bad-value: tolerance: allowed: 1e-12 to 1 (--tolerance)
-? 1
 
 $ dipole eval --sigma-a 0.032 --sigma-s 0.74 --g 0.5 --r 1 --model single,better,classical | grep note
 model      channel  sigma_a  sigma_s    g  eta     albedo  numerical error  model error  numerical error  model error  evaluator       notes

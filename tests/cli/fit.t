@@ -62,25 +62,19 @@ model error: of R against radiative transport, which is not in the standard erro
 by g: the largest change for g +- .05, since the readings may not determine g
 note: similarity: g is not 0: the model uses isotropic scattering with sigma_s (1 - g)
 
-$ dipole fit skin.csv --reference 1,2,3
+$ for one in 'skin.csv --reference 1,2,3' 'skin.csv --reference 1,2,3,4 --scale free' 'skin.csv --scale reference' 'skin.csv --plot fit.pdf'; do dipole fit $one || echo $?; done
+2
+2
+2
+2
 ! dipole fit: --reference: give four numbers: sigma_a, sigma_s, g and eta
 ! `dipole fit --help` says more.
-? 2
-
-$ dipole fit skin.csv --reference 1,2,3,4 --scale free
 ! dipole fit: --reference says what the scale is: leave --scale out
 ! `dipole fit --help` says more.
-? 2
-
-$ dipole fit skin.csv --scale reference
 ! dipole fit: --scale reference: give --reference A,S,G,ETA in its place
 ! `dipole fit --help` says more.
-? 2
-
-$ dipole fit skin.csv --plot fit.pdf
 ! dipole fit: --plot fit.pdf: the name must end in .svg or .png; - is the terminal
 ! `dipole fit --help` says more.
-? 2
 
 $ dipole fit skin.csv --model better --eta 0
 ! dipole fit: bad-value: eta of medium 1 of 4: allowed: 0.001 to 1000 (--eta)

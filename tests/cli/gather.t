@@ -65,25 +65,19 @@ $ printf 'x,y,z\n0,0,0\n0,inf,0\n' | dipole gather points.csv - --sigma-a 0.032 
 ! dipole gather: standard input: line 3: bad-value: queries: allowed: coordinates from -1e9 to 1e9 mm
 ? 1
 
-$ dipole gather points.csv
+$ for one in 'points.csv' 'points.csv queries.csv' 'points.csv queries.csv --medium skin1' 'points.csv queries.csv --medium skin1 --channel red --tolerance much'; do dipole gather $one || echo $?; done
+2
+2
+2
+2
 ! dipole gather: name two files: the points, and the queries
 ! `dipole gather --help` says more.
-? 2
-
-$ dipole gather points.csv queries.csv
 ! dipole gather: give --medium NAME, or --sigma-a and --sigma-s, or --layer
 ! `dipole gather --help` says more.
-? 2
-
-$ dipole gather points.csv queries.csv --medium skin1
 ! dipole gather: points.csv: powers of each point: 1, channels of the medium: 3: give as many media as powers, or choose a channel with --channel
 ! `dipole gather --help` says more.
-? 2
-
-$ dipole gather points.csv queries.csv --medium skin1 --channel red --tolerance much
 ! dipole gather: --tolerance: 'much' is no decimal number
 ! `dipole gather --help` says more.
-? 2
 
 $ dipole gather points.csv queries.csv --medium skin1 --channel red --tolerance 0.9
 ! dipole gather: bad-value: tolerance: allowed: 1e-9 to 0.5; or 0: each point is summed by itself (--tolerance)

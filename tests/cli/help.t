@@ -141,20 +141,16 @@ $ dipole media -x
 ! `dipole media --help` says more.
 ? 2
 
-$ dipole eval --meduim=skin1
+$ for one in '--meduim=skin1' '--sigma-a 0.1 --sigma-s 1 --model bettr' '--sigma-a'; do dipole eval $one || echo $?; done
+2
+2
+2
 ! dipole eval: --meduim=skin1: no such option; the nearest is --medium
 ! `dipole eval --help` says more.
-? 2
-
-$ dipole eval --sigma-a 0.1 --sigma-s 1 --model bettr
 ! dipole eval: --model: 'bettr' is unknown; this daemon has classical, better, grosjean, boundary, exitance, grosjean-boundary, grosjean-exitance, boundary-exitance, extended, quantized, beam, single, classical+single, better+single, extended+single, quantized+single, beam+single, burley, burley-diffuse, burley-dmfp, skin-red, skin-green, skin-blue, gaussians, multipole, multipole-transmitted, better-multipole, better-multipole-transmitted, transport, transport-transmitted. Is it better?
 ! `dipole eval --help` says more.
-? 2
-
-$ dipole eval --sigma-a
 ! dipole eval: --sigma-a: a value is missing
 ! `dipole eval --help` says more.
-? 2
 
 $ dipole media --format xml
 ! dipole media: --format xml: one of table,csv,json (default: table)
@@ -191,25 +187,19 @@ $ dipole media --retry-ms soon
 ! `dipole media --help` says more.
 ? 2
 
-$ dipole eval --sigma-a 0.1 --sigma-s 1 --g 0x1p-1
+$ for one in '--sigma-a 0.1 --sigma-s 1 --g 0x1p-1' '--sigma-a 0.1 --sigma-s 1 --g 0,5,' '--sigma-a 0,05' '--sigma-a 0.1 --sigma-s 1 --r 1,-00.5'; do dipole eval $one || echo $?; done
+2
+2
+2
+2
 ! dipole eval: --g: '0x1p-1' is no decimal number
 ! `dipole eval --help` says more.
-? 2
-
-$ dipole eval --sigma-a 0.1 --sigma-s 1 --g 0,5,
 ! dipole eval: --g: '0,5,' is no list of decimal numbers up to 1.8e308
 ! `dipole eval --help` says more.
-? 2
-
-$ dipole eval --sigma-a 0,05
 ! dipole eval: --sigma-a: '0,05' is no list of numbers: one of them starts with a 0; write a decimal point, as in 0.05
 ! `dipole eval --help` says more.
-? 2
-
-$ dipole eval --sigma-a 0.1 --sigma-s 1 --r 1,-00.5
 ! dipole eval: --r: '1,-00.5' is no list of numbers: one of them starts with a 0; write a decimal point, as in 0.05
 ! `dipole eval --help` says more.
-? 2
 
 $ dipole invert --albedo 07
 ! dipole invert: --albedo: '07' is no list of numbers: one of them starts with a 0; write a decimal point, as in 0.05
@@ -226,105 +216,67 @@ $ dipole eval --sigma-a 0.1 --sigma-s 1 --g ' 0'
 ! `dipole eval --help` says more.
 ? 2
 
-$ dipole eval --sigma-a 0.1 --sigma-s 1 --eta 1e999
+$ for one in '--sigma-a 0.1 --sigma-s 1 --eta 1e999' '--sigma-a 0.1 --sigma-s 1 --to 1mm' '--sigma-a 0.1 --sigma-s 1 --count 1e3' '--sigma-a 0.1 --sigma-s 1 --count 18446744073709551616' '--sigma-a 0.1 --sigma-s 1 --medium skin1' '--sigma-a 0.1 --sigma-s 1 --r 1 --count 3' '--sigma-a 0.1 --sigma-s 1 --log' '--sigma-a 0.1 --sigma-s 1 --g 0,0.5 --eta 1,1.2,1.4' '--medium skin1 --eta 1,2' '--sigma-a 0.1 --sigma-s 1 --deadline-ms 4294967296' '--sigma-a 0.1 --sigma-s 1 --deadline-ms -1' '--sigma-a 0.1 --sigma-s 1 --plot r.pdf' '--sigma-a 0.1 --sigma-s 1 --plot .png' '--sigma-a 0.1 --sigma-s 1 --plot r.png --wanted albedo' '--sigma-a 0.1 --sigma-s 1 --plot - --format json' '--sigma-a 0.1 --sigma-s 1 --model better,' '--sigma-a 0.1 --sigma-s 1 --moments fat' '--sigma-a 0.1 --sigma-s 1 --evaluator f16' '--sigma-a 0.1 --sigma-s 1 --wanted colour' '--medium skin'; do dipole eval $one || echo $?; done
+2
+2
+2
+2
+2
+2
+2
+2
+2
+2
+2
+2
+2
+2
+2
+2
+2
+2
+2
+2
 ! dipole eval: --eta: '1e999' is no number up to 1.8e308
 ! `dipole eval --help` says more.
-? 2
-
-$ dipole eval --sigma-a 0.1 --sigma-s 1 --to 1mm
 ! dipole eval: --to: '1mm' is no decimal number
 ! `dipole eval --help` says more.
-? 2
-
-$ dipole eval --sigma-a 0.1 --sigma-s 1 --count 1e3
 ! dipole eval: --count: '1e3' is no whole number
 ! `dipole eval --help` says more.
-? 2
-
-$ dipole eval --sigma-a 0.1 --sigma-s 1 --count 18446744073709551616
 ! dipole eval: --count: '18446744073709551616' is no whole number
 ! `dipole eval --help` says more.
-? 2
-
-$ dipole eval --sigma-a 0.1 --sigma-s 1 --medium skin1
 ! dipole eval: --medium NAME stands for --sigma-a and --sigma-s: leave these out; --g and --eta may stay
 ! `dipole eval --help` says more.
-? 2
-
-$ dipole eval --sigma-a 0.1 --sigma-s 1 --r 1 --count 3
 ! dipole eval: --r gives the radii one by one: leave --from, --to, --count and --log out
 ! `dipole eval --help` says more.
-? 2
-
-$ dipole eval --sigma-a 0.1 --sigma-s 1 --log
 ! dipole eval: --log needs --from, above 0
 ! `dipole eval --help` says more.
-? 2
-
-$ dipole eval --sigma-a 0.1 --sigma-s 1 --g 0,0.5 --eta 1,1.2,1.4
 ! dipole eval: --eta has 3 values and --g has 2: give one value or as many
 ! `dipole eval --help` says more.
-? 2
-
-$ dipole eval --medium skin1 --eta 1,2
 ! dipole eval: --eta has 2 values and --medium has 3: give one value or as many
 ! `dipole eval --help` says more.
-? 2
-
-$ dipole eval --sigma-a 0.1 --sigma-s 1 --deadline-ms 4294967296
 ! dipole eval: --deadline-ms: '4294967296' is no whole number up to 4294967295
 ! `dipole eval --help` says more.
-? 2
-
-$ dipole eval --sigma-a 0.1 --sigma-s 1 --deadline-ms -1
 ! dipole eval: --deadline-ms: '-1' is no whole number
 ! `dipole eval --help` says more.
-? 2
-
-$ dipole eval --sigma-a 0.1 --sigma-s 1 --plot r.pdf
 ! dipole eval: --plot r.pdf: the name must end in .svg or .png; - is the terminal
 ! `dipole eval --help` says more.
-? 2
-
-$ dipole eval --sigma-a 0.1 --sigma-s 1 --plot .png
 ! dipole eval: --plot .png: the name must end in .svg or .png; - is the terminal
 ! `dipole eval --help` says more.
-? 2
-
-$ dipole eval --sigma-a 0.1 --sigma-s 1 --plot r.png --wanted albedo
 ! dipole eval: --plot draws R: add R to --wanted
 ! `dipole eval --help` says more.
-? 2
-
-$ dipole eval --sigma-a 0.1 --sigma-s 1 --plot - --format json
 ! dipole eval: --plot - draws onto standard output, where the json goes: name a file, or leave --format out
 ! `dipole eval --help` says more.
-? 2
-
-$ dipole eval --sigma-a 0.1 --sigma-s 1 --model better,
 ! dipole eval: --model: '' is unknown; this daemon has classical, better, grosjean, boundary, exitance, grosjean-boundary, grosjean-exitance, boundary-exitance, extended, quantized, beam, single, classical+single, better+single, extended+single, quantized+single, beam+single, burley, burley-diffuse, burley-dmfp, skin-red, skin-green, skin-blue, gaussians, multipole, multipole-transmitted, better-multipole, better-multipole-transmitted, transport, transport-transmitted
 ! `dipole eval --help` says more.
-? 2
-
-$ dipole eval --sigma-a 0.1 --sigma-s 1 --moments fat
 ! dipole eval: --moments: 'fat' is unknown; this daemon has exact, fit, jensen, pbrt. Is it fit?
 ! `dipole eval --help` says more.
-? 2
-
-$ dipole eval --sigma-a 0.1 --sigma-s 1 --evaluator f16
 ! dipole eval: --evaluator: 'f16' is unknown; this daemon has f64, f32, lut
 ! `dipole eval --help` says more.
-? 2
-
-$ dipole eval --sigma-a 0.1 --sigma-s 1 --wanted colour
 ! dipole eval: --wanted: 'colour' is unknown; this daemon has R, albedo, cdf, r, ...
 ! `dipole eval --help` says more.
-? 2
-
-$ dipole eval --medium skin
 ! dipole eval: --medium: 'skin' is unknown; this daemon has apple, chicken1, chicken2, cream, ketchup, marble, potato, skimmilk, skin-dark, skin-light, skin-medium, skin1, skin2, spectralon, wholemilk
 ! `dipole eval --help` says more.
-? 2
 
 $ dipole points --evaluator f16
 ! dipole points: --evaluator: 'f16' is unknown; this daemon has f64, f32, lut
@@ -332,61 +284,35 @@ $ dipole points --evaluator f16
 ? 2
 
 ## What the daemon refuses, and daemons that are not there.
-$ dipole eval --sigma-a -1 --sigma-s 1
+$ for one in '--sigma-a -1 --sigma-s 1' '--sigma-a inf --sigma-s 1' '--sigma-a 1 --sigma-s nan' '--sigma-a 0,-1 --sigma-s 1' '--sigma-a 0.1 --sigma-s 1 --g 1' '--sigma-a 0.1 --sigma-s 1 --eta 0' '--sigma-a 0.1 --sigma-s 1 --r 0,-1' '--sigma-a 0.1 --sigma-s 1 --from -1' '--sigma-a 0.1 --sigma-s 1 --from 0 --log' '--sigma-a 0.1 --sigma-s 1 --to inf' '--sigma-a 0.1 --sigma-s 1 --count 99999999999999' '--sigma-a 0.1 --sigma-s 1 --tolerance 1e-9' '--sigma-a 0.1 --sigma-s 1 --model better,multipole' '--sigma-a 0.1 --sigma-s 1 --model multipole,better --thickness 9'; do dipole eval $one || echo $?; done
+1
+1
+1
+1
+1
+1
+1
+1
+1
+1
+1
+1
+1
+1
 ! dipole eval: bad-value: sigma_a: allowed: 0 to 1e15 per mm (--sigma-a)
-? 1
-
-$ dipole eval --sigma-a inf --sigma-s 1
 ! dipole eval: bad-value: sigma_a: allowed: 0 to 1e15 per mm (--sigma-a)
-? 1
-
-$ dipole eval --sigma-a 1 --sigma-s nan
 ! dipole eval: bad-value: sigma_s: allowed: 0 to 1e15 per mm (--sigma-s)
-? 1
-
-$ dipole eval --sigma-a 0,-1 --sigma-s 1
 ! dipole eval: bad-value: sigma_a of medium 2 of 2: allowed: 0 to 1e15 per mm (--sigma-a)
-? 1
-
-$ dipole eval --sigma-a 0.1 --sigma-s 1 --g 1
 ! dipole eval: bad-value: g: allowed: between -1 and 1, exclusive (--g)
-? 1
-
-$ dipole eval --sigma-a 0.1 --sigma-s 1 --eta 0
 ! dipole eval: bad-value: eta: allowed: 0.001 to 1000 (--eta)
-? 1
-
-$ dipole eval --sigma-a 0.1 --sigma-s 1 --r 0,-1
 ! dipole eval: bad-value: r number 2 of 2: allowed: 0 to infinity, in mm (--r)
-? 1
-
-$ dipole eval --sigma-a 0.1 --sigma-s 1 --from -1
 ! dipole eval: bad-value: radius_start: allowed: at least 0 mm, finite (--from)
-? 1
-
-$ dipole eval --sigma-a 0.1 --sigma-s 1 --from 0 --log
 ! dipole eval: bad-value: radius_start: allowed: at least 1e-300 mm, finite (logarithmic) (--from)
-? 1
-
-$ dipole eval --sigma-a 0.1 --sigma-s 1 --to inf
 ! dipole eval: bad-value: radius_stop: allowed: at least radius_start, finite (--to)
-? 1
-
-$ dipole eval --sigma-a 0.1 --sigma-s 1 --count 99999999999999
 ! dipole eval: too-large: radius_count: allowed: at most 1099511627776 radii (--count)
-? 1
-
-$ dipole eval --sigma-a 0.1 --sigma-s 1 --tolerance 1e-9
 ! dipole eval: bad-value: tolerance: allowed: at least 3.22e-06 (best: transport, f64) (--tolerance)
-? 1
-
-$ dipole eval --sigma-a 0.1 --sigma-s 1 --model better,multipole
 ! dipole eval: model multipole: bad-value: thickness: allowed: above 0 mm: this model is of a slab (--thickness)
-? 1
-
-$ dipole eval --sigma-a 0.1 --sigma-s 1 --model multipole,better --thickness 9
 ! dipole eval: model better: bad-value: thickness: allowed: 0, a half space, with this model: transport and multipoles take slabs (--thickness)
-? 1
 
 $ dipole media --connect localhost
 ! dipole media: address 'localhost': write unix:PATH, tcp:HOST:PORT, tls:HOST:PORT or private:

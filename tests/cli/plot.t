@@ -132,8 +132,9 @@ $ for one in '--medium skin1 --to -1' '--medium skin1 --quantity dR_dr --model b
 ! dipole plot: transport is left out: bad-value: g: allowed: -0.98 to 0.99 with transport (--g)
 ! dipole plot: --error: there is nothing to compare with: leave --error out
 
-$ dipole plot --medium skin1 --channel red --model better --error --r 1,2,4 --plot a.svg; grep -o 'transport\|>better<' a.svg | sort | uniq -c
-      1 >better<
+## Transport is compared with although it does not take the parameter.
+$ dipole plot --medium skin1 --channel red --model burley --surface-albedo .3 --error --r 1,2,4 --plot a.svg; grep -o 'transport\|>burley<' a.svg | sort | uniq -c
+      1 >burley<
       1 transport
 
 $ dipole plot --layer .1,10,.8,1.4,.1 --layer .02,10,.8,1.4 --r 1,2 --model transport --plot b.svg; grep -o '2 layers' b.svg; dipole eval --medium skin1 --wanted cdf,R --r 1,2 --model better --plot c.svg > /dev/null; head -c 5 c.svg; echo

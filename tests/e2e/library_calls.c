@@ -1,5 +1,6 @@
 /* Calls of the installed library that nothing else makes: surfaces, gathers that end early, and what
- * fits of layers leave. Prints what does not hold. argv[1]: the address of a daemon */
+ * fits of layers leave. Prints what does not hold. argv: the
+ * addresses of a daemon, and of one with small frames */
 #include <dipole.h>
 #include <math.h>
 #include <stdio.h>
@@ -51,6 +52,7 @@ static void check_surface(dipole_client *client, unsigned transport) {
   CHECK(here->computed_count == VALUES && there->computed_count == VALUES);
   CHECK(memcmp(dipole_varying_f64(here, DIPOLE_R), dipole_varying_f64(there, DIPOLE_R), sizeof a) ==
         0);
+  dipole_varying_result_free(here);
   query.eta = 1.3;
   CHECK(!dipole_varying_at_home(loaded, &query, &here, &error) &&
         strstr(error.text, "the surface is"));
@@ -145,14 +147,80 @@ static void check_call(dipole_client *client) {
   CHECK(!dipole_call(client, "eval", NULL, 0, 0, &reply, &error) && strstr(error.text, "eval"));
 }
 
+/* What many sets of one request count together: their replies come in parts. Of each the first and the
+ * last have no answer. `frugal` is a daemon with small frames. */
+static void check_counts(dipole_client *frugal) {
+  enum { SETS = 1500, READINGS = 2 };
+  const unsigned better = dipole_id(frugal, DIPOLE_MODEL, "better");
+  static double albedos[SETS], lengths[SETS], values[SETS][READINGS], errors[SETS][READINGS];
+  const double at[] = {1, 4}, nm = 700;
+  const dipole_parameter scattering[] = {{dipole_id(frugal, DIPOLE_PROPERTY, "a_per_mm"), 1},
+                                         {dipole_id(frugal, DIPOLE_PROPERTY, "b"), 1}};
+  const dipole_sought sought = {.property = dipole_id(frugal, DIPOLE_PROPERTY, "hbo2_uM")};
+  dipole_inversion *media;
+  dipole_fits *fits;
+  dipole_tissue_fits *tissues;
+  dipole_error error;
+  for (int i = 0; i < SETS; i++) {
+    const bool is_end = i == 0 || i == SETS - 1;
+    albedos[i] = is_end ? 1 : .3; /* without absorption there is no diffuse path */
+    lengths[i] = 1;
+    values[i][0] = is_end ? NAN : .0127178, values[i][1] = .0015157;
+    errors[i][0] = .00025, errors[i][1] = .00003;
+  }
+  CHECK(dipole_invert(frugal,
+                      &(dipole_invert_query){.model = better,
+                                             .moments = DIPOLE_EXACT,
+                                             .given = DIPOLE_DIFFUSE_MEAN_FREE_PATH,
+                                             .eta = 1.4,
+                                             .albedos = albedos,
+                                             .lengths_mm = lengths,
+                                             .medium_count = SETS},
+                      &media, &error));
+  CHECK(media->medium_count == SETS && media->missing_count == 2);
+  dipole_inversion_free(media);
+  CHECK(dipole_fit(frugal,
+                   &(dipole_fit_query){.model = better,
+                                       .moments = DIPOLE_EXACT,
+                                       .axis = DIPOLE_AXIS_RADIUS,
+                                       .scale = DIPOLE_ABSOLUTE,
+                                       .eta = 1.4,
+                                       .reading_count = READINGS,
+                                       .at = at,
+                                       .set_count = SETS,
+                                       .values = values[0],
+                                       .errors = errors[0]},
+                   &fits, &error));
+  CHECK(fits->set_count == SETS && fits->fitted_count == SETS - 2);
+  dipole_fits_free(fits);
+  CHECK(dipole_fit_tissue(
+      frugal,
+      &(dipole_tissue_fit_query){.tissue = {0, DIPOLE_PRAHL, scattering, 2, &nm, 1, 0},
+                                 .model = better,
+                                 .axis = DIPOLE_AXIS_RADIUS,
+                                 .scale = DIPOLE_ABSOLUTE,
+                                 .sought = &sought,
+                                 .sought_count = 1,
+                                 .place_count = READINGS,
+                                 .at = at,
+                                 .set_count = SETS,
+                                 .values = values[0],
+                                 .errors = errors[0]},
+      &tissues, &error));
+  CHECK(tissues->set_count == SETS && tissues->fitted_count == SETS - 2);
+  dipole_tissue_fits_free(tissues);
+}
+
 int main(int argc, char **argv) {
-  dipole_client *client;
-  CHECK(argc == 2 && dipole_open(argv[1], &client, NULL));
+  dipole_client *client, *frugal;
+  CHECK(argc == 3 && dipole_open(argv[1], &client, NULL) && dipole_open(argv[2], &frugal, NULL));
   const unsigned transport = dipole_id(client, DIPOLE_MODEL, "transport");
   check_surface(client, transport);
   check_gather(client, transport);
   check_layers(client);
   check_call(client);
+  check_counts(frugal);
   dipole_close(client);
+  dipole_close(frugal);
   return failures != 0;
 }

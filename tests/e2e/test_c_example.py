@@ -101,10 +101,14 @@ def test_the_example_without_an_output(installed, irradiance, shared, closing, s
     assert done.returncode == 1 and ("standard output" in done.stderr or "2>" in closing)
 
 
-def test_calls_that_nothing_else_makes(installed, tmp_path, shared):
+def test_calls_that_nothing_else_makes(installed, tmp_path, shared, daemon):
+    """Memory that the library loses is an error, too."""
+    frugal = daemon("--max-frame-bytes", "65536", "--max-part-bytes", "4096")
     program = tmp_path / "calls"
-    installed.compile(["cc", "-std=c17", "-Wall", "-Wextra"], REPOSITORY / "tests/e2e/library_calls.c", program)
-    installed.run(program, shared.url())
+    leaks = [] if sanitized("tsan") else ["-fsanitize=leak"]
+    compiler = ["cc", "-std=c17", "-Wall", "-Wextra", *leaks]
+    installed.compile(compiler, REPOSITORY / "tests/e2e/library_calls.c", program)
+    installed.run(program, shared.url(), frugal.url())
 
 
 def test_the_readme(installed, tmp_path, shared):

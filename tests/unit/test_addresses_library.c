@@ -24,7 +24,7 @@ UNIT_TEST(test_lists) {
       {"unix:/a,b", 1, "unix:/a,b"},
       {"unix:/a,b,,tcp", 1, "unix:/a,b,,tcp"},
       {"unix:/a,tcp:h:1", 2, "tcp:h:1"},
-      {"tls:h:1,tcp:h:1,tls:[::1]:2", 3, "tls:[::1]:2"},
+      {"tls:h:1,tcp:h:65535,tls:[::1]:2", 3, "tls:[::1]:2"},
       {"tcp:h:1,tcp:[::1]:2,unix:/x,y", 3, "unix:/x,y"},
       {"unix:/a,,unix:/b", 2, "unix:/b"},
       {"private:", 1, "private:"},
