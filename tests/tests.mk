@@ -115,8 +115,8 @@ LONG_TESTS := $(patsubst tests/%.c,$(BUILD)/tests/%,$(wildcard tests/accuracy/te
 check-units-long: $(LONG_TESTS)
 	@UNIT_LONG=yes bash tests/run-units.sh $(BUILD)/logs-nightly $(LONG_TESTS)
 
-check-bits: $(BUILD)/tests/bits ## the recorded bits from each instruction set
-	@sh tests/run-bits.sh $(BUILD) native
+check-bits: $(BUILD)/tests/bits $(BUILD)/leaks/scan.so ## the recorded bits from each instruction set
+	@PORTABLE_LOADS=$(if $(SANITIZE),,$(abspath $(BUILD))/leaks/scan.so) sh tests/run-bits.sh $(BUILD) native
 
 check-bits-aarch64:
 	@sh tests/run-bits.sh $(BUILD) aarch64

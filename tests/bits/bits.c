@@ -358,9 +358,16 @@ static void print_inversions(const core_choice *model) {
   uint64_t sum = CHECKSUM_START;
   for (int i = 0; i < MEDIA; i++) {
     const double albedo = core_splitmix_f64(&state);
-    const inversion found =
-        invert_albedo(model->id, CORE_MOMENTS_EXACT, albedo, spread(&state, -10, 10), 1.3);
-    sum = checksum(sum, &found.medium, sizeof found.medium);
+    core_inverter inverter;
+    core_inverter_start(&inverter, model->id, CORE_MOMENTS_EXACT, CORE_LIGHT_BEAM, i % 2, 0.1 * i,
+                        1.3, 0.7);
+    inversion_run(&inverter);
+    inverter.finds_errors = true;
+    if (!core_inverter_seek(&inverter, albedo, 1 + i % 4, spread(&state, -10, 10))) {
+      inversion_run(&inverter);
+    }
+    sum = add_numbers(sum, &inverter.medium, sizeof inverter.medium);
+    sum = add_numbers(sum, &inverter.albedo, 5 * sizeof inverter.albedo);
   }
   printf("%s inversions %016" PRIx64 "\n", model->name, sum);
 }
@@ -487,36 +494,48 @@ static void print_walks(const core_isa *isa) {
   }
 }
 
-/* Light gathered from points of different sizes of clusters, with each evaluator. */
+/* Light gathered from points of different sizes of clusters, one of which is within one key of a
+ * Morton order, with each evaluator; two of the channels' powers are proportional. */
 static void print_gathered(const core_isa *isa) {
-  enum { POINTS = 3000, QUERIES = 100, CHANNELS = 2 };
+  enum { POINTS = 3000, QUERIES = 100, CHANNELS = 3 };
   static double xyz[3 * POINTS], M[CHANNELS * QUERIES];
   static float power[CHANNELS * POINTS], bound[CHANNELS * QUERIES];
   uint64_t state = 23;
   for (size_t i = 0; i < POINTS; i++) {
-    const double size = spread(&state, -8, 4);
+    const double size = i < 2900 ? spread(&state, -8, 4) : 1e-9;
     for (size_t k = 0; k < 3; k++) {
-      xyz[3 * i + k] = (double)(i % 5) + size * core_splitmix_f64(&state);
+      xyz[3 * i + k] = (double)(i < 2900 ? i % 5 : 2) + size * core_splitmix_f64(&state);
     }
     for (size_t c = 0; c < CHANNELS; c++) {
       power[CHANNELS * i + c] = (float)core_splitmix_f64(&state);
     }
+    power[CHANNELS * i + 2] = 3 * power[CHANNELS * i];
   }
   static double queries[3 * QUERIES];
   static uint32_t order[QUERIES];
-  for (size_t i = 0; i < 3 * QUERIES;
-       i++) { /* half of them so close that they are summed together */
-    queries[i] = i < 150 ? xyz[i] : xyz[i % 3] + 0.05 * core_splitmix_f64(&state);
+  /* Half of them are so close that they are summed together, and three are asked twice. */
+  for (size_t i = 0; i < 3 * QUERIES; i++) {
+    queries[i] = i < 150   ? xyz[i]
+                 : i < 291 ? xyz[i % 3] + 0.05 * core_splitmix_f64(&state)
+                           : queries[i - 291];
     order[i / 3] = (uint32_t)(i / 3);
   }
   core_gather_points *points = core_gather_points_create(POINTS, xyz, CHANNELS, power);
   while (!core_gather_points_build(points, is_cut(isa) ? 777 : 1000000)) {
   }
-  if (is_cut(isa)) {
-    core_gather_order(points, QUERIES, queries, order);
+  uint64_t of_points = CHECKSUM_START;
+  for (int own = 0; own < 2; own++) {
+    core_gather_order(own ? points : NULL, QUERIES, queries, order);
+    of_points = checksum(of_points, order, sizeof order);
+  }
+  const size_t bytes = core_gather_points_bytes(points);
+  print_sum("gathered", "points", checksum(of_points, &bytes, sizeof bytes));
+  for (size_t i = 0; i < QUERIES && !is_cut(isa); i++) {
+    order[i] = (uint32_t)i;
   }
   for (const core_choice *evaluator = core_evaluators; evaluator->name != NULL; evaluator++) {
-    const core_medium media[CHANNELS] = {{0.17, 0.88, 0, 1.3}, {0.03, 7.4, 0.9, 1.4}};
+    const core_medium media[CHANNELS] = {
+        {0.17, 0.88, 0, 1.3}, {0.03, 7.4, 0.9, 1.4}, {1, 2, 0, 1.4}};
     core_profile profiles[CHANNELS];
     const core_profile *list[CHANNELS];
     for (size_t c = 0; c < CHANNELS; c++) {
@@ -593,13 +612,21 @@ static void print_answers(const core_isa *isa) {
     const bool derives =
         core_has_derivatives(rows[i].model) && (rows[i].layers > 1 || rows[i].given[0] != OFF);
     core_profile profile;
+    const atomic_bool stop = true; /* at first */
     parameters.layer_count = rows[i].layers;
     parameters.value[CORE_PARAMETER_DERIVATIVES] = derives ? 1 : (double)NAN;
     for (size_t k = 0; k < 2 && rows[i].given[k] != 0; k++) {
       parameters.value[rows[i].given[k]] = rows[i].value[k];
     }
-    const core_fault fault = core_profile_prepare(&profile, isa, rows[i].model, CORE_MOMENTS_EXACT,
-                                                  rows[i].evaluator, rows[i].layer, &parameters);
+    core_fault fault =
+        core_profile_prepare_until(&profile, isa, rows[i].model, CORE_MOMENTS_EXACT,
+                                   rows[i].evaluator, rows[i].layer, &parameters, &stop);
+    sum = add_fault(sum, fault);
+    if (fault.field == NULL) { /* nothing takes long */
+      core_profile_free(&profile);
+    }
+    fault = core_profile_prepare(&profile, isa, rows[i].model, CORE_MOMENTS_EXACT,
+                                 rows[i].evaluator, rows[i].layer, &parameters);
     assert(fault.field == NULL);
     sum = add_preparation(sum, &profile);
     if (i < 8) {
@@ -637,8 +664,10 @@ static void take_readings(const core_isa *isa, unsigned model, const core_medium
   core_profile_free(&profile);
 }
 
-/* Prints checksums of fits, then of the same refined as if the noise were small. */
+/* Prints checksums of fits, then of the same refined as if the noise were small, and of readings at
+ * random. */
 static void print_fits(const core_isa *isa) {
+  uint64_t state = 1944;
   enum { READINGS = 6 };
   static const double near[READINGS] = {0.8, 1.5, 3, 5, 8, 12},
                       f[READINGS] = {0, 0.05, 0.1, 0.2, 1};
@@ -685,6 +714,15 @@ static void print_fits(const core_isa *isa) {
       sum = add_numbers(add_numbers(sum, &result, offsetof(core_fit_result, notes)), residuals,
                         design.count * sizeof *residuals);
     }
+    for (size_t set = 0; set < (i == 0 ? 100 : i < 5 ? 3 : 0); set++) { /* of no medium */
+      core_fit_result result = {0};
+      for (size_t k = 0; k < design.count; k++) {
+        values[k] = known[k] * spread(&state, -8, 5);
+        errors[k] = values[k] * spread(&state, -9, 0);
+      }
+      core_fit_run(fit, values, errors, &result, residuals);
+      sum = add_numbers(sum, &result, offsetof(core_fit_result, notes));
+    }
     core_fit_free(fit);
     print_sum("fits", rows[i].name, sum);
   }
@@ -692,8 +730,9 @@ static void print_fits(const core_isa *isa) {
 
 /* Prints a checksum of a fit of layers: a slab's thickness, its least absorption and a free factor. */
 static void print_layers(const core_isa *isa) {
-  enum { READINGS = 4 };
-  static const double at[READINGS] = {0.3, 0.6, 1, 1.5}, off[READINGS] = {1, 1.02, 1, 1.02};
+  enum { READINGS = 6 };
+  static const double at[READINGS] = {0.3, 0.4, 0.6, 0.8, 1, 1.5},
+                      off[READINGS] = {1, 1.01, 1.02, 1.01, 1, 1.02};
   static const core_medium slab = {1e-7, 2, 0, 1, 1};
   double values[READINGS], errors[READINGS], residuals[READINGS] = {0};
   core_parameters parameters = core_parameters_none();
@@ -800,7 +839,7 @@ static void print_choices(void) {
 
 /* Prints checksums of faults of media and parameters at the ends of what is allowed and beyond, and of
  * what takes long. */
-static void print_refusals(void) {
+static void print_refusals(const core_isa *isa) {
   static const double numbers[] = {-1,   0,   5e-324, 1e-33, 1e-16, 1e-15, 1e-6, 1e-3,
                                    0.01, 0.1, 0.2,    0.5,   0.7,   0.8,   0.9,  0.95,
                                    0.96, 1,   1.3,    1.4,   2,     2.2,   2.3,  3,
@@ -832,6 +871,16 @@ static void print_refusals(void) {
                             core_worth_keeping(model, evaluator, &parameters)};
       sum = add_fault(checksum(sum, costs, sizeof costs),
                       core_paths_check(model, 1u << i % 23, layer, &parameters));
+      core_profile profile;
+      const bool is_due = i % 7 == 0 && !costs[0] && model != CORE_MODEL_GAUSSIANS;
+      const core_fault made = is_due ? core_profile_prepare(&profile, isa, model, 1 + i / 4 % 4,
+                                                            evaluator, layer, &parameters)
+                                     : (core_fault){"", "", 0};
+      if (made.field == NULL) {
+        sum = add_numbers(sum, &profile.albedo, sizeof profile.albedo);
+        core_profile_free(&profile);
+      }
+      sum = add_fault(sum, made);
     }
     core_mc_request request = {.edges = {1 + i % 3, 2, layer[0].eta, numbers[i % NUMBERS]}};
     of_walks = add_fault(of_walks, core_mc_request_parameters(&request, &parameters));
@@ -842,6 +891,108 @@ static void print_refusals(void) {
   }
   print_sum("refusals", "profiles", sum);
   print_sum("refusals", "walks", of_walks);
+}
+
+/* Returns the usual number, or now and then one at the end of what something allows, or beyond. */
+static double usual_or_end(uint64_t *state, double usual) {
+  static const double ends[] = {-1,   0,   1e-6, 0.009, 0.01, 0.1,  0.25, 0.5,  0.7,  0.95, 1,
+                                1.01, 1.4, 2.2,  2.3,   4,    5,    10,   300,  512,  1e3,  1e4,
+                                1e5,  2e5, 1e9,  2e9,   1e12, 2e12, 1e14, 2e14, 1e30, 2e30, NAN};
+  const uint64_t which = core_splitmix(state);
+  return which % 12 > 0 ? usual : ends[which / 12 % (sizeof ends / sizeof ends[0])];
+}
+
+/* Prints checksums of faults of what is to be fitted, gathered and inverted, and of what fits cost. */
+static void print_refused_searches(void) {
+  enum { MOST = CORE_FIT_READINGS_MAX + 1, KINDS = 6, LAYERS = 3 };
+  static const double usual[KINDS] = {2, 0, 0.4, 100, CORE_QUANTITY_PHASE, 650};
+  static const size_t counts[] = {0, 1, 2, 3, 5, 12, 512, 513, 1024, MOST};
+  static double of[KINDS][MOST];
+  uint64_t state = 3, fits = CHECKSUM_START, layers = fits, spectra = fits, others = fits;
+  for (unsigned i = 0; i < 8000; i++) {
+    const uint64_t any = core_splitmix(&state);
+    const size_t count = any % 4 > 0 ? 4 : counts[any / 4 % 10];
+    const unsigned scale = any >> 6 & 31 ? 1 + i % 3 : (unsigned)any % 5;
+    for (size_t kind = 0; kind < KINDS; kind++) {
+      for (size_t k = 0; k < count; k++) {
+        of[kind][k] =
+            count > 12 && k != any % count ? usual[kind] : usual_or_end(&state, usual[kind]);
+      }
+    }
+    core_parameters parameters = core_parameters_none();
+    core_medium layer[LAYERS] = {{0.05, 9.5, 0.8, 1.4, 1}, {0.1, 2, 0, 1.3, 2}, {1, 1, 0.5, 1.4}};
+    for (size_t k = 0; k < LAYERS; k++) {
+      layer[k].g = usual_or_end(&state, layer[k].g);
+      layer[k].eta = usual_or_end(&state, layer[k].eta);
+      layer[k].sigma_s_per_mm = usual_or_end(&state, layer[k].sigma_s_per_mm);
+      layer[k].thickness_mm = usual_or_end(&state, layer[k].thickness_mm);
+    }
+    parameters.value[CORE_PARAMETER_GAMMA] = i % 5 == 0 ? usual_or_end(&state, 1.5) : (double)NAN;
+    const core_fit_design design = {.model = i % 2 ? CORE_MODEL_TRANSPORT : i / 2 % 33,
+                                    .moments = 1,
+                                    .g = layer[0].g,
+                                    .eta = layer[0].eta,
+                                    .thickness_mm = i % 8 > 0 ? 0 : layer[0].thickness_mm,
+                                    .parameters = i % 3 ? &parameters : NULL,
+                                    .axis = any >> 11 & 15 ? 1 + i / 4 % 2 : 3,
+                                    .count = count,
+                                    .at = of[0],
+                                    .source_mm = of[1],
+                                    .detector_mm = i % 8 < 4 ? of[2] : NULL,
+                                    .detector_na = i % 5 ? 0 : usual_or_end(&state, 0.4),
+                                    .scale = scale,
+                                    .reference = layer[2],
+                                    .of_spectra = any >> 15 & 1,
+                                    .mhz = i % 7 > 4 ? of[3] : NULL,
+                                    .quantity = i % 7 > 3 ? of[4] : NULL};
+    const core_fault fault = core_fit_check(&design);
+    fits = add_fault(fits, fault);
+    if (fault.field == NULL) {
+      const core_fit_cost cost = core_fit_cost_of(&design);
+      const double costs[] = {cost.evaluations, cost.evaluation};
+      fits = add_numbers(fits, costs, sizeof costs);
+    }
+    const core_layers_fit_request request = {
+        scale, any >> 16 & (i % 8 == 0 ? 127u : i % LAYERS == 0 ? 7u : 63u),
+        layer, 1 + i % LAYERS,
+        count, of[0],
+        of[1], of[2]};
+    layers = add_fault(layers, core_layers_fit_check(&request));
+    core_sought sought[LAYERS] = {{0}};
+    core_tissue tissue = core_tissue_named(1 + i % 6);
+    for (size_t k = 0; k < LAYERS; k++) {
+      const core_choice *one = &core_properties[core_splitmix(&state) % 16];
+      sought[k].property = any >> 24 & 15 ? one->id : (uint32_t)any % 40;
+      sought[k].low = usual_or_end(&state, 0);
+      sought[k].high = usual_or_end(&state, sought[k].low > 0 ? 10 : 0);
+      tissue.value[1 + k] = usual_or_end(&state, tissue.value[1 + k]);
+    }
+    const core_spectral_design spectral = {tissue, 1 + i % 3, sought, count, of[5]};
+    core_spectral *search;
+    spectra = add_fault(spectra, core_spectral_create(&search, &spectral, 1 + i % 5, scale));
+    core_spectral_free(search);
+    const float power[] = {1e30f, (float)usual_or_end(&state, 1), (float)usual_or_end(&state, 2)};
+    core_inverter inverter;
+    const core_fault faults[] = {
+        core_gather_check_points(count / 3 % 2, of[0], 3, power),
+        core_gather_check_queries(count / 3, of[1]),
+        core_inversion_check(usual_or_end(&state, 1), usual_or_end(&state, 1e-14)),
+        core_inverter_start(&inverter, design.model, 1, any >> 32 & 1, i % 8 < 4, design.g,
+                            design.eta, 0.5)};
+    for (size_t k = 0; k < sizeof faults / sizeof faults[0]; k++) {
+      others = add_fault(others, faults[k]);
+    }
+    if (faults[3].field == NULL) {
+      const double seen[] = {core_inverter_seen(&inverter, 0.3), inverter.ratio_least,
+                             inverter.ratio_most};
+      others = add_numbers(others, &inverter.medium, sizeof inverter.medium);
+      others = add_numbers(others, seen, sizeof seen);
+    }
+  }
+  print_sum("refusals", "fits", fits);
+  print_sum("refusals", "layers", layers);
+  print_sum("refusals", "spectra", spectra);
+  print_sum("refusals", "others", others);
 }
 
 int main(int argc, char **argv) {
@@ -887,7 +1038,8 @@ int main(int argc, char **argv) {
     print_fits(isa);
     print_spectra(isa);
     print_choices();
-    print_refusals();
+    print_refusals(isa);
+    print_refused_searches();
   }
   return EXIT_SUCCESS;
 }
