@@ -360,7 +360,7 @@ $ dipole media --connect private:/nonexistent
 ? 1
 
 ## The help of each command has its use, examples, the exit status and the options of all, in 100 columns.
-$ for one in eval plot points sample invert fit texture table mc media info top bench; do dipole $one --help > text; awk 'length > 100' text; head -n 1 text | grep -o '^Usage: dipole '; sed '1,/^Examples$/d' text | grep -o -m 1 "^  dipole $one" | cut -c 1-8; grep -o 'Exit status: 0 ' text; grep -o -e '^  --connect ADDRESS' -e '^  --format FORMAT' -e '^  --timeout-ms N' -e '^  --retry-ms N' -e '^  --help' text; done | sort | uniq -c; dipole help mc > text; dipole mc --help | cmp - text
+$ mkdir help; cd help; for one in eval plot points sample invert fit texture table mc media info top bench; do dipole $one --help > $one; sed '1,/^Examples$/d' $one | grep -o -m 1 "^  dipole $one" | cut -c 1-8; done > ../uses; awk 'length > 100' *; (head -qn 1 * | grep -o '^Usage: dipole '; cat ../uses * | grep -o -e '^  dipole$' -e 'Exit status: 0 ' -e '^  --connect ADDRESS' -e '^  --format FORMAT' -e '^  --timeout-ms N' -e '^  --retry-ms N' -e '^  --help') | sort | uniq -c; dipole help mc | cmp - mc
      12   --connect ADDRESS
      12   --format FORMAT
      12   --help
