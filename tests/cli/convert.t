@@ -324,3 +324,125 @@ $ sed 's/value="0.735357, 0.5, 0.2"/nodegraph="NG"/' m.openpbr > wrong; dipole c
 ! dipole convert: wrong is empty
 ! dipole convert: cannot read none: No such file or directory
 ? 1
+
+## From each convention to the next, from what the last one wrote: every one is left and entered, and the medium stays.
+$ for g in 0 .7; do from='coefficients --sigma-a .01,.2,2 --sigma-s 5'; for to in $(dipole convert --from none --colour 1 --length 1 2>&1 | sed -n 's/.*there are coefficients//; s/,//gp') coefficients; do for unit in '--unit 2.5' ''; do dipole convert --from $from --to $to --g $g --eta 1.4 $unit --format csv > x 2>> e && break; done; [ $to = coefficients ] && at=2 || at=4; tail -n +2 x | cut -d, -f$at,$((at + 1)) | awk -F, -v to=$to '{ printf "%s %.4g %.4g", NR == 1 ? to : ",", $1, $2 } END { print "" }'; from="$to --colour $(tail -n +2 x | cut -d, -f2 | paste -sd,) --length $(tail -n +2 x | cut -d, -f3 | paste -sd,)"; done; done
+openpbr 0.01 5, 0.2 5, 2 5
+materialx 0.01 5, 0.2 5, 2 5
+standard-surface 0.01 5, 0.2 5, 2 5
+cycles 0.01 5, 0.2 5, 2 5
+blender-skin 0.01 5, 0.2 5, 2 5
+blender-burley 0.01 5, 0.2 5, 2 5
+gltf 0.01 5, 0.2 5, 2 5
+gltf-volume-scatter 0.01 5, 0.2 5, 2 5
+dspbr 0.01 5, 0.2 5, 2 5
+pxr 0.01 5, 0.2 5, 2 5
+pbrt 0.01 5, 0.2 5, 2 5
+appleseed-diffuse 0.01 5, 0.2 5, 2 5
+appleseed-glass 0.01 5, 0.2 5, 2 5
+unreal 0.01 5, 0.2 5, 2 5
+unity 0.01 5, 0.2 5, 2 5
+coefficients 0.01 5, 0.2 5, 2 5
+openpbr 0.01 5, 0.2 5, 2 5
+materialx 0.01 5, 0.2 5, 2 5
+standard-surface 0.01 5, 0.2 5, 2 5
+cycles 0.01 5, 0.2 5, 2 5
+blender-skin 0.01 5, 0.2 5, 2 5
+blender-burley 0.01 5, 0.2 5, 2 5
+gltf 0.01 5, 0.2 5, 2 5
+gltf-volume-scatter 0.01 5, 0.2 5, 2 5
+dspbr 0.01 5, 0.2 5, 2 5
+pxr 0.01 5, 0.2 5, 2 5
+pbrt 0.01 5, 0.2 5, 2 5
+appleseed-diffuse 0.01 5, 0.2 5, 2 5
+appleseed-glass 0.01 5, 0.2 5, 2 5
+unreal 0.01 5, 0.2 5, 2 5
+unity 0.01 5, 0.2 5, 2 5
+coefficients 0.01 5, 0.2 5, 2 5
+
+## A file that is written has the inputs of MaterialX 1.39's definitions (libraries/bxdf, libraries/pbrlib) with their types, and is read as the same medium. materialx cannot say the index.
+$ for name in openpbr materialx standard-surface gltf gltf-volume-scatter pbrt; do dipole convert --from coefficients --sigma-a .01,.2,2 --sigma-s 5 --g .3 --eta 1.45 --to $name --format native 2>> e > m; cat m; [ $name = materialx ] && eta='--eta 1.45' || eta=; dipole convert --from $name m $eta --format csv 2>> e | cut -d, -f2-5 | awk -F, 'NR > 1 { printf "%.4g %.4g %g %g\n", $1, $2, $3, $4 }'; done; sort -u e
+<?xml version="1.0"?>
+<materialx version="1.39">
+  <open_pbr_surface name="subsurface" type="surfaceshader">
+    <input name="subsurface_weight" type="float" value="1" />
+    <input name="subsurface_color" type="color3" value="0.755621112, 0.334046467, 0.0694276377" />
+    <input name="subsurface_radius_scale" type="color3" value="1, 0.963461538, 0.715714286" />
+    <input name="subsurface_radius" type="float" value="0.199600798" />
+    <input name="subsurface_scatter_anisotropy" type="float" value="0.3" />
+    <input name="specular_ior" type="float" value="1.45" />
+  </open_pbr_surface>
+</materialx>
+0.01 5 0.3 1.45
+0.2 5 0.3 1.45
+2 5 0.3 1.45
+<?xml version="1.0"?>
+<materialx version="1.39">
+  <subsurface_bsdf name="subsurface" type="BSDF">
+    <input name="color" type="color3" value="0.884371694, 0.583875803, 0.213248208" />
+    <input name="radius" type="color3" value="0.199600798, 0.192307692, 0.142857143" />
+    <input name="anisotropy" type="float" value="0.3" />
+  </subsurface_bsdf>
+</materialx>
+0.01 5 0.3 1.45
+0.2 5 0.3 1.45
+2 5 0.3 1.45
+<?xml version="1.0"?>
+<materialx version="1.39">
+  <standard_surface name="surface" type="surfaceshader">
+    <input name="subsurface" type="float" value="1" />
+    <input name="subsurface_color" type="color3" value="0.884371694, 0.583875803, 0.213248208" />
+    <input name="subsurface_radius" type="color3" value="1, 0.963461538, 0.715714286" />
+    <input name="subsurface_scale" type="float" value="0.199600798" />
+    <input name="subsurface_anisotropy" type="float" value="0.3" />
+    <input name="specular_IOR" type="float" value="1.45" />
+  </standard_surface>
+</materialx>
+0.01 5 0.3 1.45
+0.2 5 0.3 1.45
+2 5 0.3 1.45
+{"extensions": {
+  "KHR_materials_scatter": {"multiscatterColorFactor": [0.884371694, 0.583875803, 0.213248208], "scatterAnisotropy": 0.3, "scatterStrengthFactor": 1},
+  "KHR_materials_volume": {"attenuationDistance": 0.000199600798, "attenuationColor": [0.367879441, 0.354189162, 0.247287021]},
+  "KHR_materials_ior": {"ior": 1.45}}}
+0.01 5 0.3 1.45
+0.2 5 0.3 1.45
+2 5 0.3 1.45
+{"extensions": {
+  "KHR_materials_volume_scatter": {"multiscatterColor": [0.902229564, 0.63602923, 0.265101194], "scatterAnisotropy": 0.3},
+  "KHR_materials_volume": {"attenuationDistance": 0.000199600798, "attenuationColor": [0.367879441, 0.354189162, 0.247287021]},
+  "KHR_materials_ior": {"ior": 1.45}}}
+0.01 5 0.3 1.45
+0.2 5 0.3 1.45
+2 5 0.3 1.45
+Material "subsurface" "rgb reflectance" [ 0.755621112 0.334046467 0.0694276377 ] "rgb mfp" [ 0.199600798 0.192307692 0.142857143 ] "float g" [ 0.3 ] "float eta" [ 1.45 ]
+0.01 5 0.3 1.45
+0.2 5 0.3 1.45
+2 5 0.3 1.45
+`dipole convert --help` says more.
+dipole convert: --from appleseed-glass: its formula knows no index
+dipole convert: --from blender-skin: its walk knows no interface; light that leaves is up to 4 % less or more, by Roughness, right at .4; Blender 4 refracts half of it on the way in (Random Walk (Skin))
+dipole convert: --from cycles: its walk lets light out without refraction: colours to type make up for it at normal incidence, and come out up to .05 brighter in a dome
+dipole convert: --from dspbr: its formula ignores g
+dipole convert: --from gltf-volume-scatter: its formula ignores g, and a later draft replaces it
+dipole convert: --from gltf: the extension is a draft
+dipole convert: --from openpbr: renderers that use its example formula need --typed
+dipole convert: --from pbrt: pbrt inverts by a table of its own, within .14
+dipole convert: --from pxr: not settled for its other models: their formulas are not published
+dipole convert: --from standard-surface: not settled: it leaves the formula to the renderer, and Arnold's is not published
+dipole convert: --from unreal: not settled: WorldUnitScale multiplies the length
+dipole convert: --unit: the lengths of gltf and gltf-volume-scatter have units of their own: leave it out
+dipole convert: --unit: the lengths of pxr and pbrt have units of their own: leave it out
+dipole convert: --unit: the lengths of unity and coefficients have units of their own: leave it out
+dipole convert: --unit: the lengths of unreal and unity have units of their own: leave it out
+dipole convert: appleseed-diffuse cannot say the index, 1.4
+dipole convert: blender-burley cannot say g: its length is that of g 0.7
+dipole convert: blender-burley cannot say the index, 1.4
+dipole convert: blender-burley has Burley's profile alone: the length is that whose shadow edge is the nearest
+dipole convert: materialx cannot say the index, 1.4
+dipole convert: materialx cannot say the index, 1.45
+dipole convert: pxr cannot say g: its length is that of g 0.7
+dipole convert: unity cannot say g: its length is that of g 0.7
+dipole convert: unity has Burley's profile alone: the length is that whose shadow edge is the nearest
+dipole convert: unreal cannot say g: its length is that of g 0.7
+dipole convert: unreal has Burley's profile alone: the length is that whose shadow edge is the nearest
