@@ -183,3 +183,40 @@ $ dipole bake kernel --medium skin1 --common --format json | grep -E 'edge_error
  "range_mm": [10.5129007, 10.5129007, 10.5129007],
  "edge_error": [0.00471818948, 0.0107206753, 0.0201279246],
  "columns": ["weight_red", "weight_green", "weight_blue", "offset"],
+
+## Headers of all kinds compile, side by side.
+$ for kind in kernel burley gaussians lut profile colour-map; do [ $kind = colour-map ] && of= || of='--medium skin1'; dipole bake $kind $of > $kind.h || echo $?; name=$(echo $kind | tr -d -); echo "#define baked $name"; echo "#include \"$kind.h\""; echo '#undef baked'; shown="$shown, (double)$name[0][0]"; done > use.c; (echo '#include <stdio.h>'; echo "int main(void) { printf(\"%g %g %g %g %g %g\"$shown); }") >> use.c; gcc -std=c99 -Wall -Wextra -Werror -o use use.c && ./use
+0.0075909 1.16003 0.016452 -0.984375 0.000994414 0
+
+## The formula is the same in all languages.
+$ dipole bake formula > formula.c; for kind in glsl hlsl osl python; do dipole bake formula --format $kind > formula.$kind; done; sed '/#include/,+1d; s/^static //; s/const //g; s/sqrtf/sqrt/g; s/\([0-9]\)f/\1/g' formula.c | diff - formula.glsl; cmp formula.glsl formula.hlsl; cmp formula.glsl formula.osl; echo 'print(f"{scattered(.4, .3, 1.5):.6g}")' | cat formula.python - | /usr/bin/python3; (echo '#include <stdio.h>'; echo 'int main(void) { printf("%.6g", (double)scattered(.4f, .3f, 1.5f)); }') >> formula.c; gcc -Wall -Wextra -Werror -o formula formula.c -lm && ./formula
+0.976928
+0.976928
+
+## Shaders compile.
+$ (echo '#version 450'; cat formula.glsl; echo 'layout(location=0) in vec3 x;'; echo 'layout(location=0) out vec4 y;'; echo 'void main() { y = vec4(scattered(x.x, x.y, x.z)); }') > formula.frag; glslangValidator formula.frag; (dipole bake kernel --medium skin1 --common --format hlsl; echo 'float4 main(uint i : I) : SV_Target { return baked[i]; }') > taps.frag; glslangValidator -D -V -e main taps.frag
+taps.frag
+
+## Layers of one medium are that medium, within .002 of each number; the thicknesses stand there.
+$ for one in burley 'kernel --range 3 --taps 11' 'profile --range 5 --size 16'; do dipole bake $one --sigma-a .1 --sigma-s 1 --format csv > whole; dipole bake $one --layer .1,1,0,1.3,1 --layer .1,1,0,1.3 --format csv > stack; grep -hE '^# (colour|thickness|transport_error)' whole stack | cut -d'(' -f1; for file in whole stack; do grep '^[-0-9]' $file > $file.rows; done; paste -d, whole.rows stack.rows | awk -F, '{ for (i = 1; i <= NF / 2; i++) { off = $(i + NF / 2) - $i; if (off * off > (.002 * $i) ^ 2) print i, $0 } } END { print NR " rows of " NF / 2 }'; done
+# colour 0.306607 0.306607 0.306607 
+# transport_error 3.21e-06 3.21e-06 3.21e-06 
+# thickness_1 1 1 1 
+# thickness_2 0 0 0 
+# colour 0.306607 0.306607 0.306607 
+# transport_error 0.0024053 0.0024053 0.0024053 
+1 rows of 3
+# colour 0.306607 0.306607 0.306607 
+# transport_error 3.21e-06 3.21e-06 3.21e-06 
+# thickness_1 1 1 1 
+# thickness_2 0 0 0 
+# colour 0.306607 0.306607 0.306607 
+# transport_error 0.0024053 0.0024053 0.0024053 
+11 rows of 6
+# colour 0.306607 0.306607 0.306607 
+# transport_error 3.21e-06 3.21e-06 3.21e-06 
+# thickness_1 1 1 1 
+# thickness_2 0 0 0 
+# colour 0.306607 0.306607 0.306607 
+# transport_error 0.0024053 0.0024053 0.0024053 
+16 rows of 7

@@ -375,3 +375,57 @@ $ mkdir help; cd help; for one in eval plot points sample invert fit texture tab
 $ for of in eval points; do dipole $of --help > $of; done; dipole info --format csv | sed -n 's/^parameters,\([^,]*\),.*/\1/p' | tr _ - | while read -r one; do grep -l -e "^  --$one " eval points; done | sort | uniq -c
      13 eval
      13 points
+
+## Output that cannot be written is a failure, and said if there is somewhere to say it. Then one that needs no output.
+$ fails() { for closing in '> /dev/full' '>&-' '>&- <&-' '>&- 2>&-'; do eval "$1 $closing"; echo "$closing: $?" >&2; done; eval "$1 <&- 2>&-" > x; echo "$1: $?, bytes: $(head -c 1 x | wc -c)"; }; for one in 'dipole --version' 'dipole eval --help' 'dipole eval --sigma-a .1 --sigma-s 1 --r 1' 'dipole table --sigma-a .1 --sigma-s 1 --output -' 'dipoled --help' 'dipoled --version'; do fails "$one"; done
+dipole --version: 0, bytes: 1
+dipole eval --help: 0, bytes: 1
+dipole eval --sigma-a .1 --sigma-s 1 --r 1: 0, bytes: 1
+dipole table --sigma-a .1 --sigma-s 1 --output -: 0, bytes: 1
+dipoled --help: 0, bytes: 1
+dipoled --version: 0, bytes: 1
+! dipole: cannot write the output: No space left on device
+! > /dev/full: 1
+! dipole: cannot write the output: Bad file descriptor
+! >&-: 1
+! dipole: cannot write the output: Bad file descriptor
+! >&- <&-: 1
+! >&- 2>&-: 1
+! dipole: cannot write the output: No space left on device
+! > /dev/full: 1
+! dipole: cannot write the output: Bad file descriptor
+! >&-: 1
+! dipole: cannot write the output: Bad file descriptor
+! >&- <&-: 1
+! >&- 2>&-: 1
+! dipole: cannot write the output: No space left on device
+! > /dev/full: 1
+! dipole: cannot write the output: Bad file descriptor
+! >&-: 1
+! dipole: cannot write the output: Bad file descriptor
+! >&- <&-: 1
+! >&- 2>&-: 1
+! dipole table: cannot write -: No space left on device
+! dipole: cannot write the output: No space left on device
+! > /dev/full: 1
+! dipole table: cannot write -: Bad file descriptor
+! dipole: cannot write the output: Bad file descriptor
+! >&-: 1
+! dipole table: cannot write -: Bad file descriptor
+! dipole: cannot write the output: Bad file descriptor
+! >&- <&-: 1
+! >&- 2>&-: 1
+! dipoled: cannot write the output: No space left on device
+! > /dev/full: 1
+! dipoled: cannot write the output: Bad file descriptor
+! >&-: 1
+! dipoled: cannot write the output: Bad file descriptor
+! >&- <&-: 1
+! >&- 2>&-: 1
+! dipoled: cannot write the output: No space left on device
+! > /dev/full: 1
+! dipoled: cannot write the output: Bad file descriptor
+! >&-: 1
+! dipoled: cannot write the output: Bad file descriptor
+! >&- <&-: 1
+! >&- 2>&-: 1

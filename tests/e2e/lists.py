@@ -70,9 +70,6 @@ OTHER_PARAMETERS = {**MC_PARAMETERS, **FIT_PARAMETERS}
 PARAMETERS = {name: one for name, (one, _) in _PARAMETERS.items() if name not in OTHER_PARAMETERS}
 NOTES = choices("NOTE")
 QUANTITIES = choices("QUANTITY")
-DERIVATIVES = sum(
-    QUANTITIES[name] for name in ("dlnR_dln_sigma_a", "dlnR_dln_sigma_s", "path", "dpf", "time")
-)
 BALANCE = QUANTITIES["balance"]  # of transport alone
 
 

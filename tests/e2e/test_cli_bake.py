@@ -180,19 +180,6 @@ def test_pictures_have_the_rows(kind, formats, tmp_path):
         assert values.reshape(rows.shape) == pytest.approx(rows[::-1], rel=1e-6)
 
 
-def test_headers_compile(tmp_path):
-    kinds, text = ["kernel", "burley", "gaussians", "lut", "profile", "colour-map"], "#include <stdio.h>\n"
-    for i, kind in enumerate(kinds):
-        of = [] if kind == "colour-map" else ["--medium", "skin1"]
-        (tmp_path / f"{i}.h").write_text(dipole("bake", kind, *of).stdout)
-        text += f'#define baked baked_{i}\n#include "{i}.h"\n#undef baked\n'
-    shown = " && ".join(f'printf("%g ", (double)baked_{i}[0][0])' for i in range(len(kinds)))
-    (tmp_path / "use.c").write_text(f"{text}int main(void) {{ return !({shown}); }}\n")
-    command = ["gcc", "-std=c99", "-Wall", "-Wextra", "-Werror", "-o", "use", "use.c"]
-    subprocess.run(command, cwd=tmp_path, check=True)
-    assert len(subprocess.run([str(tmp_path / "use")], check=True, capture_output=True).stdout.split()) == len(kinds)
-
-
 MAPS = [("beam", 0, 1.33), ("diffuse", 0.8, 1), ("beam", 0.9, 1.4), ("diffuse", -0.3, 1.6)]
 
 
@@ -244,27 +231,6 @@ def test_the_formula_shows_colours_as_it_says(client, light):
     assert worst == pytest.approx(stated, rel=0.1)
 
 
-def test_the_formula_is_the_same_in_all_languages(tmp_path):
-    formula, _ = scattered("beam")
-    head = dipole("bake", "formula").stdout
-    tail = '#include <stdio.h>\nint main(void) { printf("%.9g", (double)scattered(.4f, .3f, 1.5f)); }\n'
-    (tmp_path / "formula.c").write_text(head + tail)
-    command = ["gcc", "-Wall", "-Wextra", "-Werror", "-o", "formula", "formula.c", "-lm"]
-    subprocess.run(command, cwd=tmp_path, check=True)
-    found = subprocess.run([str(tmp_path / "formula")], capture_output=True, check=True, text=True)
-    assert float(found.stdout) == pytest.approx(formula(0.4, 0.3, 1.5), rel=1e-6)
-    main = "layout(location=0) in vec3 x;\nlayout(location=0) out vec4 y;\nvoid main() { y = vec4(scattered(x.x, x.y, x.z)); }"
-    (tmp_path / "formula.frag").write_text("#version 450\n" + dipole("bake", "formula", "--format", "glsl").stdout + main)
-    taps = dipole("bake", "kernel", "--medium", "skin1", "--common", "--format", "hlsl").stdout
-    (tmp_path / "taps.frag").write_text(taps + "float4 main(uint i : I) : SV_Target { return baked[i]; }")
-    for more in (["formula.frag"], ["-D", "-V", "-e", "main", "taps.frag"]):
-        subprocess.run(["glslangValidator", *more], cwd=tmp_path, check=True)
-    shaders = {name: dipole("bake", "formula", "--format", name).stdout for name in ("glsl", "hlsl", "osl")}
-    assert len(set(shaders.values())) == 1 and shaders["glsl"] == re.sub(
-        r"(\d)f", r"\1", head.replace("#include <math.h>\n\nstatic ", "").replace("const ", "").replace("sqrtf", "sqrt")
-    )
-
-
 def test_the_document_has_the_constants():
     """core/COLOURS.md is made by core/tools/colours.py from the same list."""
     root = Path(__file__).parents[2]
@@ -274,14 +240,3 @@ def test_the_document_has_the_constants():
             if line.startswith(("beam, ", "diffuse, "))]
     assert [one for row in told for one in row[1:]] == [one for one in listed if one not in (told[0][0], told[3][0])]
     assert {row[0] for row in told} <= set(listed) and len(listed) == 2 * 19
-
-
-@pytest.mark.parametrize("kind, options", [("burley", ()), ("kernel", ("--range", "3")), ("profile", ("--range", "5"))])
-def test_layers_of_one_medium_are_that_medium(kind, options):
-    whole = json.loads(dipole("bake", kind, "--sigma-a", ".1", "--sigma-s", "1", *options, "--format", "json").stdout)
-    layers = ["--layer", ".1,1,0,1.3,1", "--layer", ".1,1,0,1.3"]
-    stack = json.loads(dipole("bake", kind, *layers, *options, "--format", "json").stdout)
-    assert stack["rows"] == [pytest.approx(row, rel=2e-3) for row in whole["rows"]]
-    assert stack["colour"] == pytest.approx(whole["colour"], rel=1e-4)
-    assert (stack["thickness_1"][0], stack["thickness_2"][0]) == (1, 0) and "thickness" not in whole
-    assert 0 < stack["transport_error"][0] < 0.2

@@ -1,8 +1,8 @@
 """`dipole`: help, versions, and wrong command lines."""
 
 import pytest
-from command_line import FAILED, PROGRAM, dipole
-from daemons import BUILD, finished
+from command_line import PROGRAM, dipole
+from daemons import finished
 
 
 @pytest.mark.parametrize("command", ["eval", "sample", "invert"])
@@ -20,30 +20,6 @@ def test_examples_work(command, tmp_path):
             del words[at : at + 2]
         # With all models, the command names those that it leaves out.
         assert dipole(*words[1:], quiet="all" not in words, cwd=tmp_path).stdout != ""
-
-
-EVAL = ["eval", "--sigma-a", "0.1", "--sigma-s", "1"]
-
-
-OUTPUTS = {
-    "version": [PROGRAM, "--version"],
-    "help": [PROGRAM, "eval", "--help"],
-    "values": [PROGRAM, *EVAL, "--r", "1", "--connect"],
-    "table": [PROGRAM, "table", *EVAL[1:], "--output", "-"],
-    "daemon's help": [BUILD / "dipoled", "--help"],
-    "daemon's version": [BUILD / "dipoled", "--version"],
-}
-
-
-@pytest.mark.parametrize("name", OUTPUTS)
-@pytest.mark.parametrize("closing", [">/dev/full", ">&-", ">&- <&-", ">&- 2>&-", "<&- 2>&-"])
-def test_output_that_cannot_be_written_is_a_failure(shared, name, closing):
-    command = [str(word) for word in OUTPUTS[name]]
-    command += [shared.url("tcp")] if command[-1] == "--connect" else []
-    run = finished("sh", "-c", f'exec "$@" {closing}', "sh", *command, text=False)
-    failed = closing[0] == ">"
-    assert run.returncode == (FAILED if failed else 0) and bool(run.stdout) == (not failed)
-    assert (b"cannot write" in run.stderr) == (failed and "2>" not in closing)
 
 
 SERVICE = """mount -t tmpfs none /run || exit 77
