@@ -141,7 +141,7 @@ $ dipole plot --layer .1,10,.8,1.4,.1 --layer .02,10,.8,1.4 --r 1,2 --model tran
 2 layers
 <?xml
 
-$ dipole plot --medium skin1,marble --g .9 --channel red --error --plot d.svg --r 1,2 --model better
+$ dipole plot --medium skin1,marble --g .9 --channel red --error --plot d.svg --from 0 --to 2 --model better
 
 $ dipole plot --medium skin1 --channel red --model better,transport --surface-albedo .3 --error
 ! dipole plot: model better: bad-value: surface_albedo: allowed: nothing: this model does not take it (--surface-albedo)

@@ -168,17 +168,20 @@ static void check_counts(dipole_client *frugal) {
     values[i][0] = is_end ? NAN : .0127178, values[i][1] = .0015157;
     errors[i][0] = .00025, errors[i][1] = .00003;
   }
-  CHECK(dipole_invert(frugal,
-                      &(dipole_invert_query){.model = better,
-                                             .moments = DIPOLE_EXACT,
-                                             .given = DIPOLE_DIFFUSE_MEAN_FREE_PATH,
-                                             .eta = 1.4,
-                                             .albedos = albedos,
-                                             .lengths_mm = lengths,
-                                             .medium_count = SETS},
-                      &media, &error));
+  dipole_invert_query inverted = {.model = better,
+                                  .moments = DIPOLE_EXACT,
+                                  .given = DIPOLE_DIFFUSE_MEAN_FREE_PATH,
+                                  .eta = 1.4,
+                                  .albedos = albedos,
+                                  .lengths_mm = lengths,
+                                  .medium_count = SETS};
+  CHECK(dipole_invert(frugal, &inverted, &media, &error));
   CHECK(media->medium_count == SETS && media->missing_count == 2);
   dipole_inversion_free(media);
+  inverted.model = dipole_id(frugal, DIPOLE_MODEL, "transport");
+  inverted.albedos = albedos + 1, inverted.medium_count = 64, inverted.deadline_ms = 1;
+  CHECK(!dipole_invert(frugal, &inverted, &media, &error) &&
+        strcmp(error.field, "deadline_ms") == 0);
   CHECK(dipole_fit(frugal,
                    &(dipole_fit_query){.model = better,
                                        .moments = DIPOLE_EXACT,

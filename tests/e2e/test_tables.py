@@ -76,7 +76,7 @@ def test_same_bits_as_the_daemon(client, case):
 def test_the_errors_of_the_daemon(client, model):
     table = client.table(model, SKIN)
     for r in ([0.0, 1e-12, 0.1, 2.5, 1e4, math.inf], [0.1, 1.0, 3.0], [300.0]):
-        wanted = ["R", "cdf", "pdf", "2_pi_r_R", "albedo"]
+        wanted = ["R", "cdf", "pdf", "2_pi_r_R", "albedo", "S"]
         there = client.eval(model, SKIN, r, evaluator="lut", wanted=wanted).errors
         for name in wanted:
             here, asked = table.errors(r, name), [float(one[0]) for one in there[name]]
