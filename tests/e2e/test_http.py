@@ -322,7 +322,7 @@ BASES = {
     "varying": {"model": "transport", "sigma_a": [1, 1, 1], "sigma_s": [1, 1, 1], "r": [1, 1, 1]},
     "points": POINTS,
     "gather": {"set": SET.name.hex(), **TWO, **PLACES},
-    "fit_tissue": {"sought": ["a_per_mm"], "tissue": "liver", "wavelength": [700], "at": [1, 2], "values": [0.1, 0.01], "errors": [0.01, 0.001]},
+    "fit_tissue": {"sought": [{"property": "a_per_mm", "low": 0.5, "high": 900}], "tissue": "liver", "wavelength": [700], "at": [1, 2], "values": [0.1, 0.01], "errors": [0.01, 0.001]},
 }
 # By path: what is changed, the field that is named, its position, and a status other than 400.
 FAULTS = {
@@ -813,9 +813,6 @@ def test_many_requests_over_one_connection(served):
         assert connection.getresponse().read()
         socks.add(connection.sock)
     assert len(socks) == 1
-    with served.client() as client:  # a second of silence, and its buffers are free
-        held = client.statistics()["buffer_bytes"]
-        assert eventually(lambda: client.statistics()["buffer_bytes"] < held)
     connection.close()
 
 
