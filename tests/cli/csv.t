@@ -53,3 +53,26 @@ M-oM-;M-?my note,sigma_a,sigma_s,g,eta,r,R,albedo,cdf,status$
 lines, # and ""quotes""",0.01,1,0,1.4,2,0.0076295505,0.6222119489494612,0.44686064,ok$
 "",0.01,1,0,1.4,2,0.0076295505,0.6222119489494612,0.44686064,ok$
 M-^?^@M-~,0.01,1,0,1.4,2,0.0076295505,0.6222119489494612,0.44686064,ok$
+
+## Forms of CSV that cannot be misunderstood, which all commands read alike: the first is the plain one.
+$ printf 'sigma_a,sigma_s,g,eta,r\n0.01,1,0,1.4,2\n0.5,1.25,0,1.4,2\n' > rows; printf 'sample,r,R,error\na,1,.0234,.0005\na,2,.00787,.0002\na,4,.00159,.00003\n' > readings; printf 'x,y,z,power\n0,0,0,1.5\n0,2,0,0.5\n' > p; sed s/2/3/ p > q; for form in cat "sed 's/,/ ,\t /g'" "sed 's/[^,]*/ \"&\"/g'" "tr , ';'" "sed 's/,/ \t/g'" "tr '\n' '\r'" "(printf '\r\n'; sed 's/$/\r/')" "(printf '# by hand, twice\n# '; cat)" "(printf '#'; tr , '\t')" "(printf '# x,y\n#'; sed '1a # in mm\n\n#')" "(echo '#1'; sed 'a # so it is\n'; printf '#')" "(printf '\357\273\277sep=;\r\n'; tr , ';')" "(printf '\357\273\277#'; sed 's/,/; /g' | tr '\n' '\r')"; do for file in rows readings p q; do eval "$form" < $file > $file.form; done; dipole points --model better rows.form | tr -d '" ' | tr '\r' '\n' | sed 's/[,;]\t/,/g; s/[;\t]/,/g' | grep '^0' > found; dipole fit --model better --eta 1.4 --format csv readings.form | cut -d, -f1-5,17 >> found; dipole gather p.form q.form --sigma-a .01 --sigma-s 1 --model better --format csv >> found; [ "$form" = cat ] && cat found && cp found plain; printf '%s\n' "$form"; diff plain found; done
+0.01,1,0,1.4,2,0.008922392411638412,0.605952712135344,0.37076385200174106,ok
+0.5,1.25,0,1.4,2,6.394823695552765e-4,0.07234213178114271,0.9249316622989945,ok
+sample,sigma_a,sigma_s_prime,sigma_a_error,sigma_s_prime_error,status
+a,0.030032583570163054,1.2023918589517062,9.484325177021148e-4,0.025222010371669514,fitted
+x,y,z,M_1,bound,numerical_error_1,model_error_1
+0,0,0,0.08387405658140779,0,8.173521029507774e-5,0.9906618854846919
+0,3,0,0.019654877483844757,0,8.173521029507774e-5,0.9906618854846919
+cat
+sed 's/,/ ,\t /g'
+sed 's/[^,]*/ "&"/g'
+tr , ';'
+sed 's/,/ \t/g'
+tr '\n' '\r'
+(printf '\r\n'; sed 's/$/\r/')
+(printf '# by hand, twice\n# '; cat)
+(printf '#'; tr , '\t')
+(printf '# x,y\n#'; sed '1a # in mm\n\n#')
+(echo '#1'; sed 'a # so it is\n'; printf '#')
+(printf '\357\273\277sep=;\r\n'; tr , ';')
+(printf '\357\273\277#'; sed 's/,/; /g' | tr '\n' '\r')

@@ -169,3 +169,14 @@ old
 $ dipole plot --medium skin1 --model better --plot none/r.svg
 ! dipole plot: --plot none/r.svg: cannot write it: No such file or directory
 ? 1
+
+## The demonstration without programs, and with a daemon that does not start, which leaves nothing behind.
+$ sh $REPOSITORY/clients/demo.sh nothing
+! demo: nothing/dipoled is not there: run make first
+? 1
+
+$ mkdir copied left; cp $(dirname $(command -v dipoled))/dipole copied; printf '#!/bin/sh\necho out of sockets >&2\nexit 1\n' > copied/dipoled; chmod +x copied/dipoled; TMPDIR=$PWD/left sh $REPOSITORY/clients/demo.sh copied > shown; echo $?; ls left
+1
+! out of sockets
+! dipole eval: ...
+! demo: the evaluation failed

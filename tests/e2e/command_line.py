@@ -235,10 +235,3 @@ def busy(request_id: int, retry_after_ms: int = 1, status: str = "busy") -> byte
         status=code, zero=0, retry_after_ms=retry_after_ms, index=0, field="", allowed=""
     )
     return frame(wire.TYPE_ERROR, request_id, error)
-
-
-def scratch(tmp_path: Path, name: str, text: str | bytes) -> str:
-    """Makes a file with this text. Returns its path."""
-    path = tmp_path / name
-    path.write_bytes(text.encode() if isinstance(text, str) else text)
-    return str(path)

@@ -1,6 +1,7 @@
 """The command line by expected output: runs the commands in the files of tests/cli.
 
-A line that starts with "$ " is a command for sh, in an empty folder that the commands of a file share.
+A line that starts with "$ " is a command for sh, in an empty folder that the commands of a file share;
+REPOSITORY names that of the sources.
 What it prints follows: standard output, then lines "! ..." of standard error, then "? N" if the exit
 status N is not 0. Runs of blanks are alike, and so are numbers within one in a million. "..." stands
 for any text within a line and, alone on a line, for any lines. Lines that start with "## " are
@@ -22,7 +23,7 @@ NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?")
 def run(command: str, folder: Path) -> list[str]:
     """Returns what a command prints, as a file has it. Memory that `dipole` loses is an error, too."""
     path = f"{BUILD}/leaks:{BUILD}:{os.environ['PATH']}"
-    env = environment(PATH=path, NO_COLOR="1", DIPOLED=shared().url())
+    env = environment(PATH=path, NO_COLOR="1", DIPOLED=shared().url(), REPOSITORY=str(REPOSITORY))
     done = finished("sh", "-c", command, cwd=folder, env=env)
     assert "Sanitizer" not in done.stderr, done.stderr
     lines = done.stdout.splitlines() + [f"! {line}" for line in done.stderr.splitlines()]

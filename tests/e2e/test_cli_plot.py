@@ -3,9 +3,7 @@ the demonstration, which draws two."""
 
 import re
 import shutil
-import subprocess
 import time
-from pathlib import Path
 
 import dipole as dipole_module
 import numpy as np
@@ -151,10 +149,6 @@ def test_a_bar_with_rate_and_time_left(daemon):
 # ---- the demonstration ---------------------------------------------------------------------------
 
 
-def run_demo(build: Path, folder: Path) -> subprocess.CompletedProcess[str]:
-    return finished("sh", str(REPOSITORY / "clients" / "demo.sh"), build, env=environment(TMPDIR=str(folder)))
-
-
 @pytest.fixture
 def copied_build(tmp_path):
     """Copies the programs to a folder, so that the demonstration writes its files there."""
@@ -168,7 +162,7 @@ def copied_build(tmp_path):
 def test_demo(tmp_path, copied_build):
     folder = tmp_path / "temporary"
     folder.mkdir()
-    run = run_demo(copied_build, folder)
+    run = finished("sh", REPOSITORY / "clients/demo.sh", copied_build, env=environment(TMPDIR=str(folder)))
     assert run.returncode == 0, run.stderr
     assert run.stderr == ""
     asked = ["--medium", "skin1", "--channel", "red", "--model", "transport,classical,better"]
@@ -190,20 +184,4 @@ def test_demo(tmp_path, copied_build):
         assert f"{copied_build}/demo/skin1.{suffix}" in run.stdout
     check_png(copied_build / "demo" / "skin1.png")
     assert svg_lines(copied_build / "demo" / "skin1.svg") == 9
-    assert list(folder.iterdir()) == []
-
-
-def test_demo_without_programs(tmp_path):
-    run = run_demo(tmp_path / "nothing", tmp_path)
-    assert run.returncode != 0
-    assert "is not there: run make first" in run.stderr
-
-
-def test_demo_with_a_daemon_that_does_not_start(tmp_path, copied_build):
-    (copied_build / "dipoled").write_text("#!/bin/sh\necho 'out of sockets' >&2\nexit 1\n")
-    folder = tmp_path / "temporary"
-    folder.mkdir()
-    run = run_demo(copied_build, folder)
-    assert run.returncode != 0
-    assert "demo: the evaluation failed" in run.stderr and "out of sockets" in run.stderr
     assert list(folder.iterdir()) == []

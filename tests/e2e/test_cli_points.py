@@ -1,7 +1,6 @@
 """`dipole points`: reads rows, and writes the same rows with R, albedo, cdf and status."""
 
 import os
-import re
 import select
 import subprocess
 import time
@@ -9,7 +8,6 @@ import time
 import pytest
 from command_line import (
     BAD_ROWS, FAILED, PROGRAM, TIMEOUT_S, Proxy, Terminal, busy, dipole, points, read_csv,
-    scratch,
 )
 from daemons import environment, finished
 
@@ -139,44 +137,3 @@ def test_a_daemon_that_goes_away(daemon):
     assert "connection" in run.stderr
     whole = points(text, "--wanted", "R,dR_dr")
     assert whole.startswith(run.stdout) and len(run.stdout) < len(whole)
-
-
-# ---- other forms of CSV, which all commands read -------------------------------------------------
-
-# What cannot be misunderstood, made of text with commas, points and line feeds.
-FORMS = {
-    "blanks": lambda text: text.replace(",", " ,\t "),
-    "quotes behind blanks": lambda text: re.sub("([^,\n]+)", ' "\\1" ', text),
-    "semicolons": lambda text: text.replace(",", ";"),
-    "tabs": lambda text: text.replace(",", " \t"),
-    "returns": lambda text: text.replace("\n", "\r"),
-    "returns and feeds": lambda text: "\r\n" + text.replace("\n", "\r\n"),
-    "a header that starts with #": lambda text: "# by hand, twice\n# " + text,
-    "a header that starts with #, tabs": lambda text: "#" + text.replace(",", "\t"),
-    "a header above a comment": lambda text: "# x,y\n#" + text.replace("\n", "\n# in mm\n\n#\n", 1),
-    "comments everywhere": lambda text: "#1\n" + text.replace("\n", "\n# so it is\n\n") + "#",
-    "Excel's first line": lambda text: "\ufeffsep=;\r\n" + text.replace(",", ";"),
-    "all": lambda text: "\ufeff#" + text.replace(",", "; ").replace("\n", "\r"),
-}  # fmt: skip
-READINGS = "sample,r,R,error\na,1,.0234,.0005\na,2,.00787,.0002\na,4,.00159,.00003\n"
-CLOUD = "x,y,z,power\n0,0,0,1.5\n0,2.5,0,0.5\n"
-
-
-def read_by_all(tmp_path, form) -> list:
-    """Returns what three commands make of files in a form."""
-    table = points(form(f"{HEADER}\n{ROW}\n0.5,1.25,0,1.4,2\n"))
-    mark = next(one for one in ",;\t" if f"r{one}" in re.sub('[ "]', "", table))
-    lines = [line for line in re.split("[\r\n]+", table) if mark in line]
-    rows = [[float(cell.strip(' "')) for cell in line.split(mark)[:-1]] for line in lines[-2:]]
-    fits = read_csv(dipole("fit", "--eta", "1.4", "--format", "csv", stdin=form(READINGS)).stdout)
-    paths = [scratch(tmp_path, name, form(CLOUD.replace("2.5", y))) for name, y in zip("pq", "23")]
-    medium = ["--sigma-a", "0.01", "--sigma-s", "1", "--model", "better"]
-    sums = read_csv(dipole("gather", *paths, *medium).stdout)
-    assert [fit.pop("sample") for fit in fits] == ["a"]
-    assert [fit.pop("status") for fit in fits] == ["fitted"]
-    return [*rows, *fits, *sums]
-
-
-@pytest.mark.parametrize("form", FORMS)
-def test_forms_of_csv(tmp_path, form):
-    assert read_by_all(tmp_path, FORMS[form]) == read_by_all(tmp_path, str)
