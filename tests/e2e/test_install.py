@@ -13,6 +13,7 @@ import pytest
 from command_line import eval_rows
 from daemons import BUILD, REPOSITORY, environment, finished, sanitized
 from installing import make, needs, run
+from test_readme import blocks
 
 PREFIX = "/usr/local"
 
@@ -110,40 +111,6 @@ def test_no_built_program_is_run(tree, tmp_path):
 
 # ---- the library ---------------------------------------------------------------------------------
 
-C_PROGRAM = """
-#include <dipole.h>
-#include <stdio.h>
-
-int main(void) {
-  dipole_client *client = NULL;
-  dipole_error error;
-  dipole_result *result = NULL;
-  const dipole_medium medium = {0.032, 0.74, 0, 1.3, 0};
-  const double r[2] = {0.5, 1.0};
-  dipole_query query = {0};
-  if (!dipole_open(NULL, &client, &error)) {
-    puts(error.text);
-    return 1;
-  }
-  query.model = dipole_id(client, DIPOLE_MODEL, "better");
-  query.evaluator = DIPOLE_F64;
-  query.moments = DIPOLE_EXACT;
-  query.wanted = DIPOLE_R;
-  query.media = &medium;
-  query.medium_count = 1;
-  query.spacing = DIPOLE_LIST;
-  query.radii = r;
-  query.radius_count = 2;
-  if (!dipole_eval(client, &query, &result, &error)) {
-    puts(error.text);
-    return 1;
-  }
-  printf("%.17g %.17g\\n", result->channels[0].R_f64[0], result->channels[0].R_f64[1]);
-  dipole_result_free(result);
-  dipole_close(client);
-  return 0;
-}
-"""
 STRICT = ["-Wall", "-Wextra", "-pedantic", "-Werror"]
 LANGUAGES = {
     "c": ["cc", "-std=c17", *STRICT],
@@ -194,9 +161,11 @@ def pkg_config(tree: Path, *options: str) -> list[str]:
 
 
 def expected() -> list[float]:
-    rows = eval_rows("--sigma-a", "0.032", "--sigma-s", "0.74", "--r", "0.5,1", "--wanted", "R")
+    """Returns what the README's program prints: distances, and R there."""
+    medium = ["--sigma-a", "0.05", "--sigma-s", "9.5", "--g", "0.9", "--eta", "1.4"]
+    rows = eval_rows(*medium, "--model", "transport", "--evaluator", "lut", "--r", "0.1,1,5", "--wanted", "R")
     column = next(name for name in rows[0] if name.startswith("R"))
-    return [float(row[column]) for row in rows]
+    return [float(row[name]) for row in rows for name in ("r", column)]
 
 
 @unsanitized
@@ -206,7 +175,8 @@ def test_a_program_builds_and_runs(tree, prefix, tmp_path, language, kind):
     compiler = LANGUAGES[language]
     needs(compiler[0], "pkg-config")
     source = tmp_path / f"program.{language}"
-    source.write_text(C_PROGRAM.replace("= {0};", "= {};") if language == "cc" else C_PROGRAM)
+    (program,) = [block for block in blocks() if block.startswith("#include <dipole.h>")]
+    source.write_text(program)
     flags = pkg_config(tree, *(["--static"] if kind == "static" else []))
     if kind == "static":
         # Links libdipole from its archive, and the C library as usual.
@@ -216,7 +186,8 @@ def test_a_program_builds_and_runs(tree, prefix, tmp_path, language, kind):
     assert needed == (kind == "shared")
     env = {"LD_LIBRARY_PATH": f"{prefix}/lib", "PATH": f"{prefix}/bin"}
     said = run(tmp_path / "program", env=env, cwd=tmp_path)
-    assert list(map(float, said.split())) == expected()
+    printed = [float(word) for line in said.splitlines() for word in line.split()[::2]]
+    assert printed == pytest.approx(expected(), rel=1e-5)
 
 
 def test_the_library_exports_what_its_header_declares(prefix):
