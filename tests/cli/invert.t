@@ -161,3 +161,20 @@ $ printf 'albedo,mean_free_path\n0.25,\n' | dipole invert -
 $ printf 'mean_free_path\n1\n' | dipole invert -
 ! dipole invert: standard input: the column albedo is missing; the header has mean_free_path; it needs albedo, and a length such as mean_free_path unless an option gives it
 ? 1
+
+## Each command says which name of a choice it does not know, and sends nothing.
+$ printf 'r,R,error\n1,1,.1\n' > r.csv; of='--sigma-a 0.1 --sigma-s 1'; printf '%s\n' 'invert --albedo .5 --extinction-path 1 --light' 'invert --albedo .5 --extinction-path 1 --moments' 'sample OF --moments' 'sample OF --wanted' 'table OF --moments' 'mc OF --phase' 'gather r.csv r.csv OF --moments' 'gather r.csv r.csv OF --evaluator' 'fit r.csv --moments' 'plot OF --moments' 'points --evaluator' 'points --wanted' 'texture a.png b.png --extinction-path 1 --light' 'texture a.png b.png --extinction-path 1 --moments' | sed "s/OF/$of/" | while read -r one; do dipole $one none > out 2>&1 < r.csv; echo "$? $(head -n 1 out | cut -d';' -f1)"; done
+2 dipole invert: --light: 'none' is unknown
+2 dipole invert: --moments: 'none' is unknown
+2 dipole sample: --moments: 'none' is unknown
+2 dipole sample: --wanted: 'none' is unknown
+2 dipole table: --moments: 'none' is unknown
+2 dipole mc: --phase: 'none' is unknown
+2 dipole gather: --moments: 'none' is unknown
+2 dipole gather: --evaluator: 'none' is unknown
+2 dipole fit: --moments: 'none' is unknown
+2 dipole plot: --moments: 'none' is unknown
+2 dipole points: --evaluator: 'none' is unknown
+2 dipole points: --wanted: 'none' is unknown
+2 dipole texture: --light: 'none' is unknown
+2 dipole texture: --moments: 'none' is unknown
