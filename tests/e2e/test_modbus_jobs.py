@@ -598,6 +598,7 @@ def test_a_fit_that_is_no_success_is_not_done(master):
     errors[2] = 0
     head = commit_fit(master, unit, 8, rising, errors)
     assert head[:4] == [ERROR, 7, BAD_VALUE_STATUS, AT["FIT_READING"] + 2 * 5]
+    assert master.read(AT["FIT_FIT_STATUS_NAME"], 8, unit).rstrip(b"\0") == b"implausible"  # behind the error's text
     np.testing.assert_array_equal(fit_results(master, unit), values)  # those of the token 7
     master.write(AT["FIT_READING"], floats(-1.0, 0.1), unit)  # noise may make a reading negative
     with exception(BAD_VALUE):
