@@ -1,5 +1,6 @@
 """Options from the command line and the environment, valid and invalid."""
 
+import os
 import re
 from pathlib import Path
 
@@ -92,6 +93,8 @@ def test_what_kubernetes_sets_for_a_service_is_ignored(daemon, monkeypatch, name
         monkeypatch.setenv(key, value)
     with dipole.Client(f"private:{PROGRAM}") as client:
         assert client.ping() > 0
+        newest = int(Path("/proc/thread-self/children").read_text().split()[-1])
+        assert os.getpgid(newest) == newest  # the interrupt key does not end it
 
 
 def test_an_empty_variable_is_none(daemon):

@@ -245,6 +245,7 @@ UNIT_TEST(test_a_private_daemon_that_dies) {
   dipole_client *client = peer_open(address, NULL);
   const pid_t first = client->daemon;
   assert_true(first > 0 && dipole_ping(client, &error));
+  assert_int_equal(getpgid(first), first); /* the interrupt key does not end it */
   dipole_set_retry_ms(client, PEER_PATIENCE_MS);
   assert_int_equal(kill(first, SIGKILL), 0);
   peer_expect(dipole_ping(client, &error), &error);
