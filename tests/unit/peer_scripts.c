@@ -2,6 +2,7 @@
 
 #include <time.h>
 
+#include "clients/c/request.h"
 #include "tests/unit/unit.h"
 
 void peer_receive_or_abort(int fd, peer_frame *request) {
@@ -218,6 +219,9 @@ dipole_client *peer_begin_scripts(peer_script *const *scripts, void *context) {
 }
 
 void peer_finish(dipole_client *client) {
+  if (client->pending_count == 0) { /* nothing is kept that could be sent again */
+    assert_true(client->retry.kept_bytes == 0 && client->retry.later_count == 0);
+  }
   dipole_close(client);
   peer_end(&peer_of_test);
 }
