@@ -203,3 +203,76 @@ $ dipole fit two.csv $(for i in 1 2 3 4 5 6 7 8 9; do echo --layer x,1,0,1.4,1; 
 $ for i in a b c d e f g h i; do sed 1d skin.csv | sed s/skin/$i/; done | cat - | sed '1s/^/sample,r,R,error\n/' | dipole fit --model better --eta 1.4 --plot nine.svg --format csv | wc -l
 10
 ! dipole fit: the picture shows the first 8 of 9 samples
+
+## A g is left out that transport's table does not hold. No change is told where readings see g; better sees none.
+$ dipole eval --model transport --sigma-a .02 --sigma-s 10 --g .9 --eta 1.4 --r 1,1.5,2.5,4.5 --wanted R --format csv > seen; for one in '-.5 .1' '0 .1' '.9 .1' '.93 .1' '.9 .0003'; do awk -F, -v g=${one% *} -v share=${one#* } 'NR > 1 { print g " " share "," $7 "," $8 "," share * $8 "," g }' seen; done | sed '1i sample,r,R,error,g' > g.csv; for model in transport better; do [ $model = better ] && sed -i /0003/d g.csv; dipole fit g.csv --model $model --eta 1.4 --format csv | awk -F, 'NR > 1 { print $1 ": g " $13 ", " $15 ", " $17 (($6 $7) == "" ? "" : $6 < 1e-8 && $7 < 1e-8 ? ", no change" : ", changes") }'; done
+-.5 .1: g -0.5, above, fitted, changes
+0 .1: g 0, both, fitted, changes
+.9 .1: g 0.9, both, fitted, changes
+.93 .1: g 0.93, below, fitted, changes
+.9 .0003: g 0.9, both, fitted
+-.5 .1: g -0.5, both, fitted, no change
+0 .1: g 0, both, fitted, no change
+.9 .1: g 0.9, both, fitted, no change
+.93 .1: g 0.93, both, fitted, no change
+
+## Apertures of the file and of the option: a is the same in both, b is not. The other models have none (above).
+$ dipole eval --model better --sigma-a .01 --sigma-s 1.5 --eta 1.4 --r .5,1,2,4 --wanted R --format csv | awk -F, 'NR > 1 { print $7 "," $8 "," $8 / 100 }' > milk; awk -F, '{ R = .05 * $2; for (of = 0; of < 2; of++) print substr("ab", of + 1, 1) "," $1 "," R "," .02 * R "," (of ? "WIDE" : "") }' milk | sed '1i sample,r,R,error,detector_na' > na.csv; sed 's/WIDE//' na.csv | dipole fit --model transport --eta 1.4 --detector-na .22 --format csv | cut -d, -f-3,17
+sample,sigma_a,sigma_s_prime,status
+a,0.005419836919700163,1.7324680998664164,fitted
+b,0.005419836919700163,1.7324680998664164,fitted
+
+$ sed 's/WIDE/.3/' na.csv > wide.csv; dipole fit wide.csv --model transport --eta 1.4 --detector-na .22; dipole fit wide.csv --model transport --eta 1.4 --detector-na .22 --format json | grep -o '"model_error": [^,]*'
+model transport, moments exact, detector_na 0.22, scale absolute
+
+sample    sigma_a  sigma_s'  error of a  error of s'   a by g  s' by g  correlation  chi2  readings  model error  g   g from  g sides  eta  status
+             1/mm      1/mm        1/mm         1/mm     1/mm     1/mm                                  relative
+------  ---------  --------  ----------  -----------  -------  -------  -----------  ----  --------  -----------  -  -------  -------  ---  ------
+a       0.0054198    1.7325     0.00054        0.026  0.00041    0.026        0.031  10.9         4      2.2e-02  0  default    above  1.4  fitted
+b        0.041132    1.0779      0.0011        0.015   0.0011    0.015        0.405   7.8         4      2.2e-02  0  default    above  1.4  fitted
+
+errors are standard errors; chi2 is the sum of the squares of (reading - fit) / error
+model error: of R against radiative transport, which is not in the standard errors
+by g: the largest change for g +- .05, since the readings may not determine g
+"model_error": 0.022
+"model_error": 0.022
+
+## A name is no command: gnuplot runs the next line of a text that is not closed, and what ` and @ hold; four quotes end a text in quotes, though two do not.
+$ for ends in '\n \r \r\n \302\205 \033' "\\\\\\n ' '' \"\""; do for end in $ends; do while read -r line; do printf "\"a$end . system(\"\"touch hit\"\") . $end; \`touch hit\` @hit #$end\",$line\n"; done < milk; done | sed '1i sample,r,R,error' | dipole fit --model better --eta 1.4 --plot a.svg --plot a.png --plot - | grep -o 'a[^ ]* \. system.*' | sed 's/  .*//'; grep 'touch hit' a.svg | sed 's/<[^>]*>//g'; rm a.svg a.png; done; test -e hit || echo none ran
+a? . system("touch hit") . ?; `touch hit` @hit #?
+a? . system("touch hit") . ?; `touch hit` @hit #?
+a?? . system("touch hit") . ??; `touch hit` @hit #??
+a?? . system("touch hit") . ??; `touch hit` @hit #??
+a? . system("touch hit") . ?; `touch hit` @hit #?
+a? . system("touch hit") . ?; `touch hit` @hit #?
+a? . system("touch hit") . ?; `touch hit` @hit #?
+a?? . system("touch hit") . ??; `touch hit` @hit #??
+a?? . system("touch hit") . ??; `touch hit` @hit #??
+a? . system("touch hit") . ?; `touch hit` @hit #?
+a? . system("touch hit") . ?; `touch hit` @hit #?
+a? . system("touch hit") . ?; `touch hit` @hit #?
+a?? . system("touch hit") . ??; `touch hit` @hit #??
+a?? . system("touch hit") . ??; `touch hit` @hit #??
+a? . system("touch hit") . ?; `touch hit` @hit #?
+		a? . system("touch hit") . ?; `touch hit` @hit #?
+		a? . system("touch hit") . ?; `touch hit` @hit #?
+		a?? . system("touch hit") . ??; `touch hit` @hit #??
+		a?? . system("touch hit") . ??; `touch hit` @hit #??
+		a? . system("touch hit") . ?; `touch hit` @hit #?
+a\? . system("touch hit") . \?; `touch hit` @hit #\?
+a' . system("touch hit") . '; `touch hit` @hit #'
+a'' . system("touch hit") . ''; `touch hit` @hit #''
+a" . system("touch hit") . "; `touch hit` @hit #"
+a\? . system("touch hit") . \?; `touch hit` @hit #\?
+a' . system("touch hit") . '; `touch hit` @hit #'
+a'' . system("touch hit") . ''; `touch hit` @hit #''
+a" . system("touch hit") . "; `touch hit` @hit #"
+a\? . system("touch hit") . \?; `touch hit` @hit #\?
+a' . system("touch hit") . '; `touch hit` @hit #'
+a'' . system("touch hit") . ''; `touch hit` @hit #''
+a" . system("touch hit") . "; `touch hit` @hit #"
+		a\? . system("touch hit") . \?; `touch hit` @hit #\?
+		a' . system("touch hit") . '; `touch hit` @hit #'
+		a'' . system("touch hit") . ''; `touch hit` @hit #''
+		a" . system("touch hit") . "; `touch hit` @hit #"
+none ran
