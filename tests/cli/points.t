@@ -233,3 +233,15 @@ x,0.01,1,0,1.4,2,0.008922392411638412,0.605952712135344,0.37076385200174106,ok
 note,sigma_a,sigma_s,g,eta,r,R,albedo,cdf,status
 -,0.01,1,0,1.4,2,0.008922392411638412,0.605952712135344,0.37076385200174106,ok
 ! dipole points: standard input: line 3: the row is longer than 1 MiB
+
+## Many rows keep their order, and equal ones have equal values.
+$ awk 'BEGIN { print "id,sigma_a,sigma_s,g,eta,r"; for (i = 0; i < 20000; i++) print i "," (i == 777 ? -1 : i % 7 / 10) ",1,0,1.4," i % 11 }' | dipole points --model better | awk -F, 'NR == 1 { next } $1 != NR - 2 || $NF != "ok" { print; next } { key = $2 " " $6; value = $7 "," $8 "," $9 } key in seen && seen[key] != value { print "not as before: " $0 } { seen[key] = value } END { print NR - 1 " rows, " length(seen) " values" }'
+777,-1,1,0,1.4,7,,,,bad-value: sigma_a: allowed: 0 to 1e15 per mm
+20000 rows, 77 values
+! dipole points: standard input: 1 of 20000 rows were bad: see the column status
+
+## More rows by themselves than may be outstanding: with derivatives, and those of a group that are wrong, each is asked for alone.
+$ for a in .01 -1; do awk -v a=$a 'BEGIN { print "sigma_a,sigma_s,g,eta,r"; for (i = 1; i <= 9000; i++) print a ",1,0,1.4," i }' | dipole points --model better --wanted $([ $a = -1 ] && echo R || echo dR_dr) | awk -F, 'NR > 1 { if ($5 != NR - 1) print; count[$NF]++ } END { for (status in count) print count[status], status }'; done
+9000 ok
+9000 bad-value: sigma_a: allowed: 0 to 1e15 per mm
+! dipole points: standard input: 9000 of 9000 rows were bad: see the column status

@@ -1,14 +1,11 @@
-"""`dipole points`: reads rows, and writes the same rows with R, albedo, cdf and status."""
+"""`dipole points`: its memory, and what it does while it runs. tests/cli/points.t has what it writes."""
 
 import os
 import select
 import subprocess
 import time
 
-import pytest
-from command_line import (
-    BAD_ROWS, FAILED, PROGRAM, TIMEOUT_S, Proxy, Terminal, busy, dipole, points, read_csv,
-)
+from command_line import FAILED, PROGRAM, TIMEOUT_S, Proxy, Terminal, busy, dipole, points
 from daemons import environment, finished
 
 HEADER = "sigma_a,sigma_s,g,eta,r"
@@ -16,32 +13,6 @@ ROW = "0.01,1,0,1.4,2"
 
 
 # ---- many rows -----------------------------------------------------------------------------------
-
-
-def test_many_rows_keep_their_order():
-    count = 20000
-    lines = [f"{i},{(i % 7) / 10},1,0,1.4,{i % 11}" for i in range(count)]
-    lines[777] = "777,-1,1,0,1.4,0"
-    text = points("\n".join([f"id,{HEADER}", *lines]), status=BAD_ROWS)
-    rows = read_csv(text)
-    assert [int(row["id"]) for row in rows] == list(range(count))
-    assert [i for i, row in enumerate(rows) if row["status"] != "ok"] == [777]
-    seen = {}
-    for row in rows:
-        key = (row["sigma_a"], row["r"])
-        assert seen.setdefault(key, (row["R"], row["cdf"])) == (row["R"], row["cdf"])
-
-
-@pytest.mark.parametrize("row", ["0.01,1,0,1.4,{}", "-1,1,0,1.4,{}"])
-def test_more_rows_by_themselves_than_may_be_outstanding(row):
-    """Rows with derivatives, and those of a group that are wrong, are each asked for alone."""
-    want = "dR_dr" if row[0] == "0" else "R"
-    lines = [row.format(i + 1) for i in range(9000)]
-    text = points("\n".join([HEADER, *lines, ""]), "--model", "better", "--wanted", want,
-                  status=0 if row[0] == "0" else BAD_ROWS)
-    answered = text.splitlines()[1:]
-    assert [one.split(",")[4] for one in answered] == [str(i + 1) for i in range(9000)]
-    assert all(one.endswith(",ok") for one in answered) == (row[0] == "0")
 
 
 def test_memory_is_bounded(tmp_path):
