@@ -180,3 +180,88 @@ $ mkdir copied left; cp $(dirname $(command -v dipoled))/dipole copied; printf '
 ! out of sockets
 ! dipole eval: ...
 ! demo: the evaluation failed
+
+## The README's picture is current: `make figures` draws it by this command. Both have the same texts, and 18 curves.
+$ dipole plot --medium skin1 --model classical,better,transport --error --plot e.svg; cp $REPOSITORY/clients/cli/skin1.svg kept.svg; for file in e kept; do grep -c '<g id="gnuplot_plot_' $file.svg; sed -n '/<text/,/<\/text>/p' $file.svg | grep -o '>[^<]*<' | sort > $file.texts; done; grep -c . e.texts; cmp e.texts kept.texts
+18
+18
+75
+
+## A fit: gnuplot gets the readings and their errors, and below the residuals over these, of the curve.
+$ printf '#!/bin/sh\ncat\n' > fake/gnuplot; printf 'sample,r,R,error\na,1,.0234,.0005\na,2,.00787,.0002\na,4,.00159,.00003\n' | PATH=$PWD/fake:$PATH dipole fit --model better --eta 1.4 --plot f.svg > /dev/null; grep -E '^(T.*|lower_label) =' f.svg; awk '/^END/ { exit } f && NF; /<< END/ { f = 1 }' f.svg
+lower_label = "residual \0057 error"
+T[1] = ""
+T[2] = "a"
+1 0.023395020874762119 0 0 0
+2 0.0078742540401520438 0 0 0
+4 0.0015898268685960127 0 0 0
+1 0.023400000000000001 0.00050000000000000001 0.0099582504757625423 0
+2 0.0078700000000000003 0.00020000000000000001 -0.021270200760217794 0
+4 0.0015900000000000001 3.0000000000000001e-05 0.0057710467995771356 0
+
+## The demonstration.
+$ rm copied/dipoled; ln -s $(command -v dipoled) copied; mkdir after; TMPDIR=$PWD/after sh $REPOSITORY/clients/demo.sh copied | sed 's/^[$]/>/'; ls after; head -c 5 copied/demo/skin1.svg; echo; grep -c '<g id="gnuplot_plot_' copied/demo/skin1.svg; for part in head tail; do $part -c 8 copied/demo/skin1.png | grep -aoE 'PNG|IEND'; done; find copied/demo -name '*.png' -size +5000c; head -1 copied/demo/skin1.csv
+> copied/dipole eval --medium skin1 --model transport,classical,better --from 0.1 --to 10 --log --channel red --count 9
+skin1, moments exact, R in 1/mm^2 per unit of power that entered
+
+           transport   classical      better
+       r       R red       R red       R red
+      mm      1/mm^2      1/mm^2      1/mm^2
+--------  ----------  ----------  ----------
+     0.1  3.3067e-01  4.4037e-02  2.6214e-02
+0.177828  1.6342e-01  4.3201e-02  2.5829e-02
+0.316228  7.7430e-02  4.0723e-02  2.4681e-02
+0.562341  3.5325e-02  3.4265e-02  2.1625e-02
+       1  1.5701e-02  2.2021e-02  1.5482e-02
+ 1.77828  6.6663e-03  9.1652e-03  8.0148e-03
+ 3.16228  2.4144e-03  2.5999e-03  2.9122e-03
+ 5.62341  6.0506e-04  5.7339e-04  6.9149e-04
+      10  7.9313e-05  7.4269e-05  8.4214e-05
+
+                                                                      R            R           albedo       albedo
+model      channel  sigma_a  sigma_s  g  eta    albedo  numerical error  model error  numerical error  model error  evaluator  notes
+                       1/mm     1/mm                 1
+---------  -------  -------  -------  -  ---  --------  ---------------  -----------  ---------------  -----------  ---------  -----
+transport  red        0.032     0.74  0  1.3  0.439458          8.3e-05      0.0e+00          8.3e-05      0.0e+00        lut
+classical  red        0.032     0.74  0  1.3  0.436049          7.2e-15      8.7e-01          2.4e-15      7.8e-03        f64
+better     red        0.032     0.74  0  1.3  0.404808          7.1e-15      9.2e-01          2.4e-15      7.9e-02        f64
+numerical error: at most, against the model's formula, at r = 0.1 to 10 mm
+model error: the largest, of the model against radiative transport
+errors are relative, but of ln R, its derivatives, paths and modulated light absolute, as the
+cdf's model error is, and of R_f over the albedo
+per unit of power launched: values times 1 - ((eta - 1) / (eta + 1))^2 = 0.982987 (eta 1.3)
+> copied/dipole eval --sigma-a 0.05 --sigma-s 9.5 --g 0.9 --eta 1.4 --tolerance 0.01 --r 0.1,1,5
+moments exact, tolerance 0.01, R in 1/mm^2 per unit of power that entered
+
+      transport
+  r         R 1
+ mm      1/mm^2
+---  ----------
+0.1  1.4494e-01
+  1  1.6164e-02
+  5  6.3481e-04
+
+                                                                        R            R           albedo       albedo
+model      channel  sigma_a  sigma_s    g  eta    albedo  numerical error  model error  numerical error  model error  evaluator  notes
+                       1/mm     1/mm                   1
+---------  -------  -------  -------  ---  ---  --------  ---------------  -----------  ---------------  -----------  ---------  -----
+transport  1           0.05      9.5  0.9  1.4  0.361312          5.2e-04      0.0e+00          4.5e-06      0.0e+00        f32
+numerical error: at most, against the model's formula, at r = 0.1 to 5 mm
+model error: the largest, of the model against radiative transport
+errors are relative, but of ln R, its derivatives, paths and modulated light absolute, as the
+cdf's model error is, and of R_f over the albedo
+per unit of power launched: values times 1 - ((eta - 1) / (eta + 1))^2 = 0.972222 (eta 1.4)
+took transport (f32), the cheapest that keeps the tolerance
+
+The three profiles over r, on logarithmic axes:
+  copied/demo/skin1.svg
+  copied/demo/skin1.png
+  copied/demo/skin1.csv
+
+In red, from 0.1 to 10 mm, the classical dipole is up to 87 % from transport, at 0.1 mm, and from 2 mm on up to 31 %; the better dipole is up to 92 % from transport, at 0.1 mm, and from 2 mm on up to 22 %.
+<?xml
+9
+PNG
+IEND
+copied/demo/skin1.png
+model,channel,sigma_a,sigma_s,g,eta,r,R,albedo,numerical_error,model_error,numerical_error_R,model_error_R,numerical_error_albedo,model_error_albedo,evaluator,notes

@@ -39,17 +39,6 @@ def plain(text: str) -> str:
     return re.sub(r"\\0([0-7]{3})", lambda octal: chr(int(octal[1], 8)), text.strip("\"'"))
 
 
-def svg_lines(path: Path) -> int:
-    """Returns how many curves gnuplot has drawn."""
-    return path.read_text().count('<g id="gnuplot_plot_')
-
-
 def svg_texts(path: Path) -> list[str]:
     texts = ElementTree.parse(path).getroot().iter("{http://www.w3.org/2000/svg}text")
     return ["".join(text.itertext()).strip() for text in texts]
-
-
-def check_png(path: Path) -> None:
-    data = path.read_bytes()
-    assert data.startswith(b"\x89PNG\r\n\x1a\n") and data.endswith(b"IEND\xaeB`\x82")
-    assert len(data) > 5000

@@ -1,16 +1,14 @@
-"""Pictures of `dipole plot` and `dipole eval --plot`: what gnuplot gets, and two that it draws; and
-the demonstration, which draws two."""
+"""Pictures of `dipole plot` and `dipole eval --plot`: what gnuplot gets, and text on a terminal.
+tests/cli/plot.t has pictures that it draws, and the demonstration."""
 
 import re
-import shutil
 import time
 
 import dipole as dipole_module
 import numpy as np
 import pytest
-from command_line import Proxy, Terminal, busy, dipole, eval_rows, read_csv
-from daemons import BUILD, REPOSITORY, environment, finished
-from pictures import check_png, script, svg_lines, svg_texts
+from command_line import Proxy, Terminal, busy, dipole, eval_rows
+from pictures import script
 
 SKIN = ["plot", "--medium", "skin1"]
 RINGS = ["--from", "0.05", "--to", "8", "--count", "12"]
@@ -82,28 +80,6 @@ def test_monte_carlo_beside_means_of_models(tmp_path, client, scale):
     assert (curves["mc"][:, 1] == walked.R[0]).all()
 
 
-def test_a_fit_and_its_residuals(tmp_path):
-    readings = "sample,r,R,error\na,1,.0234,.0005\na,2,.00787,.0002\na,4,.00159,.00003\n"
-    names, curves = script(tmp_path, "fit", "--eta", "1.4", stdin=readings)
-    line, points = curves[""], curves["a"]
-    assert (points[:, 1:3] == [[0.0234, 0.0005], [0.00787, 0.0002], [0.00159, 0.00003]]).all()
-    left = (points[:, 1] - line[:, 1]) / points[:, 2]
-    np.testing.assert_allclose(points[:, 3], left, atol=1e-12)
-    assert names["lower_label"] == "residual / error" and (line[:, 3] == 0).all()
-
-
-# ---- files ---------------------------------------------------------------------------------------
-
-
-def test_the_picture_of_the_readme_is_current(tmp_path):
-    """`make figures` draws it with this command."""
-    drawn, kept = tmp_path / "a.svg", REPOSITORY / "clients/cli/skin1.svg"
-    arguments = ["--model", "classical,better,transport", "--error", "--plot", str(drawn)]
-    dipole("plot", "--medium", "skin1", *arguments)
-    assert sorted(svg_texts(drawn)) == sorted(svg_texts(kept))
-    assert svg_lines(drawn) == svg_lines(kept) == 18
-
-
 # ---- text ----------------------------------------------------------------------------------------
 
 
@@ -144,44 +120,3 @@ def test_a_bar_with_rate_and_time_left(daemon):
     bar = r"\r\[#{20} {20}\]  50 %  [\d.e+]+ values, [\d.e+]+/s  0:\d\d left\033\[K"
     assert re.match(r"(\rwaiting for the daemon: +\d+ s\033\[K)*" + bar, text)
     assert text.endswith("\r\033[K")
-
-
-# ---- the demonstration ---------------------------------------------------------------------------
-
-
-@pytest.fixture
-def copied_build(tmp_path):
-    """Copies the programs to a folder, so that the demonstration writes its files there."""
-    build = tmp_path / "build"
-    build.mkdir()
-    for name in ("dipole", "dipoled"):
-        shutil.copy2(BUILD / name, build / name)
-    return build
-
-
-def test_demo(tmp_path, copied_build):
-    folder = tmp_path / "temporary"
-    folder.mkdir()
-    run = finished("sh", REPOSITORY / "clients/demo.sh", copied_build, env=environment(TMPDIR=str(folder)))
-    assert run.returncode == 0, run.stderr
-    assert run.stderr == ""
-    asked = ["--medium", "skin1", "--channel", "red", "--model", "transport,classical,better"]
-    radii = ["--from", "0.1", "--to", "10", "--log", "--count"]
-    assert dipole("eval", *asked, *radii, "9").stdout in run.stdout
-    assert "not measured" not in run.stdout
-    rows = read_csv((copied_build / "demo" / "skin1.csv").read_text())
-    R = {name: np.array([float(row["R"]) for row in rows
-                         if (row["model"], row["channel"]) == (name, "red")])
-         for name in asked[-1].split(",")}  # fmt: skip
-    r = np.array([float(row["r"]) for row in rows[: len(R["better"])]])
-    sentence = run.stdout.splitlines()[-1]
-    assert sentence.startswith("In red, from 0.1 to 10 mm, the classical dipole is up to ")
-    for name in ("classical", "better"):
-        off = 100 * abs(R[name] / R["transport"] - 1)
-        assert (f"the {name} dipole is up to {off.max():.0f} % from transport, at {r[off.argmax()]:.2g}"
-                f" mm, and from 2 mm on up to {off[r >= 2].max():.0f} %") in sentence
-    for suffix in ("svg", "png", "csv"):
-        assert f"{copied_build}/demo/skin1.{suffix}" in run.stdout
-    check_png(copied_build / "demo" / "skin1.png")
-    assert svg_lines(copied_build / "demo" / "skin1.svg") == 9
-    assert list(folder.iterdir()) == []
