@@ -56,15 +56,12 @@ struct subject {
 
 /* Sets the readings to a profile's values, of a medium with the design's g and the same sigma_s'. */
 static void evaluate(struct subject *subject) {
-  core_profile profile;
   const core_fit_design *design = &subject->design;
   core_medium medium = subject->medium;
   medium.g = design->g;
   medium.sigma_s_per_mm /= 1 - design->g;
-  unit_assert_fault(core_profile_prepare(&profile, core_isa_select(NULL), design->model,
-                                         design->moments, CORE_EVALUATOR_F64, &medium,
-                                         design->parameters),
-                    NULL, 0);
+  core_profile profile =
+      unit_profile(design->model, CORE_EVALUATOR_F64, &medium, design->parameters);
   core_eval_f64(&profile,
                 design->axis == CORE_FIT_AXIS_RADIUS ? CORE_QUANTITY_R : CORE_QUANTITY_TRANSFER,
                 design->count, subject->at, subject->values);
@@ -79,16 +76,11 @@ static void draw(struct subject *subject, const struct recovery *of, uint64_t *r
   const double eta = unit_random_between(random, 1, 1.6);
   const double path = 1 / (scattering * (1 + ratio));
   subject->medium = (core_medium){ratio * scattering, scattering, 0, eta};
-  subject->design = (core_fit_design){
-      .model = of->model,
-      .moments = CORE_MOMENTS_EXACT,
-      .g = of->g,
-      .eta = eta,
-      .axis = of->axis,
-      .count = 4 + unit_random_below(random, READINGS - 3),
-      .at = subject->at,
-      .scale = of->scale,
-  };
+  subject->design =
+      usual_design(of->model, of->g, 4 + unit_random_below(random, READINGS - 3), subject->at);
+  subject->design.eta = eta;
+  subject->design.axis = of->axis;
+  subject->design.scale = of->scale;
   for (size_t i = 0; i < subject->design.count; i++) {
     const double r = path * unit_random_log(random, 0.1, 10);
     subject->at[i] = of->axis == CORE_FIT_AXIS_RADIUS ? r : i == 0 ? 0 : 0.05 / r;
@@ -142,11 +134,8 @@ static core_fit_result refined(const core_fit *fit, const struct subject *subjec
   core_fit_run(fit, subject->values, subject->errors, &result, NULL);
   bool goes_on = core_fit_wants_exact(fit, subject->values, subject->errors, &result, &medium);
   for (int i = 0; i < CORE_FIT_REFINE_MOST && goes_on; i++) {
-    core_profile profile;
-    unit_assert_fault(core_profile_prepare(&profile, core_isa_select(NULL), design->model,
-                                           design->moments, CORE_EVALUATOR_F64, &medium,
-                                           design->parameters),
-                      NULL, 0);
+    core_profile profile =
+        unit_profile(design->model, CORE_EVALUATOR_F64, &medium, design->parameters);
     goes_on =
         core_fit_refine(fit, &profile, subject->values, subject->errors, &result, NULL, &medium);
     core_profile_free(&profile);
@@ -356,9 +345,8 @@ static void compare_table(unsigned model, unsigned axis, double g) {
   core_fit *fit = created(&design);
   for (size_t i = 0; i < sizeof ratios / sizeof ratios[0]; i++) {
     const core_medium medium = {1.3 * ratios[i], 1.3 / (1 - g), g, design.eta};
-    core_profile profile;
+    core_profile profile = unit_profile(model, CORE_EVALUATOR_F64, &medium, NULL);
     double value[PLACES], modelled[PLACES];
-    profile = unit_profile(model, CORE_EVALUATOR_F64, &medium, NULL);
     core_eval_f64(&profile, axis == CORE_FIT_AXIS_RADIUS ? CORE_QUANTITY_R : CORE_QUANTITY_TRANSFER,
                   PLACES, at, value);
     fit_model_readings(fit, medium.sigma_a_per_mm, 1.3, modelled);
@@ -477,16 +465,11 @@ static double normal(uint64_t *random) {
   return sqrt(-2 * log(u)) * cos(6.28318530717958647693 * v);
 }
 
-/* The spread of fits over the bound of Cramer and Rao, which is the covariance of the noiseless
- * readings. */
-struct spread {
-  double a, s;
-};
-
-/* Fits `sets` noisy sets, whose standard errors have to be right, and returns their spread. It has a
- * relative standard error of 1 / sqrt(2 sets) itself. */
-static struct spread spread_of(unsigned scale, int count, double noise, int sets) {
-  enum { MOST = 40 };
+/* Fits noisy sets, whose standard errors have to be right, and whose spread that of the bound of Cramer
+ * and Rao, which is the covariance of the noiseless readings. It has a relative standard error of
+ * 1 / sqrt(2 sets) itself, of which three are allowed besides the 5 %. */
+static void expect_noise(unsigned scale, int count, double noise) {
+  enum { MOST = 40, SETS = 1000 };
   double at[MOST], clean[MOST], errors[MOST], values[MOST];
   uint64_t random = unit_seed();
   for (int i = 0; i < count; i++) {
@@ -503,7 +486,7 @@ static struct spread spread_of(unsigned scale, int count, double noise, int sets
   core_fit_run(fit, clean, errors, &ideal, NULL);
   double sum_a = 0, sum_s = 0, squares_a = 0, squares_s = 0;
   size_t one = 0, two = 0, told = 0;
-  for (int n = 0; n < sets; n++) {
+  for (int n = 0; n < SETS; n++) {
     for (int i = 0; i < count; i++) {
       values[i] = clean[i] + errors[i] * normal(&random);
     }
@@ -520,25 +503,18 @@ static struct spread spread_of(unsigned scale, int count, double noise, int sets
   }
   core_fit_free(fit);
   const double bound_a = sqrt(ideal.covariance.a_a), bound_s = sqrt(ideal.covariance.s_s);
-  const struct spread spread = {sqrt((squares_a - sum_a * sum_a / sets) / (sets - 1)) / bound_a,
-                                sqrt((squares_s - sum_s * sum_s / sets) / (sets - 1)) / bound_s};
-  const double share_1 = (double)one / (2 * sets), share_2 = (double)two / (2 * sets);
+  const double spread_a = sqrt((squares_a - sum_a * sum_a / SETS) / (SETS - 1)) / bound_a;
+  const double spread_s = sqrt((squares_s - sum_s * sum_s / SETS) / (SETS - 1)) / bound_s;
+  const double share_1 = (double)one / (2 * SETS), share_2 = (double)two / (2 * SETS);
   printf(
       "scale %u, %d readings, noise %g: spread %.3f and %.3f of the bound, bias %.2f and %.2f of "
       "it; %.1f %% within one error, %.1f %% within two\n",
-      scale, count, noise, spread.a, spread.s, sum_a / sets / bound_a, sum_s / sets / bound_s,
+      scale, count, noise, spread_a, spread_s, sum_a / SETS / bound_a, sum_s / SETS / bound_s,
       100 * share_1, 100 * share_2);
-  assert_true(told > (size_t)sets * 98 / 100); /* noise may make a second medium fit as well */
+  assert_true(told > SETS * 98 / 100); /* noise may make a second medium fit as well */
   assert_true(fabs(share_1 - 0.683) < 0.04 && fabs(share_2 - 0.954) < 0.02);
-  return spread;
-}
-
-/* Allows three standard errors of the spread besides the 5 %. */
-static void expect_noise(unsigned scale, int count, double noise) {
-  enum { SETS = 1000 };
-  const struct spread spread = spread_of(scale, count, noise, SETS);
   const double allowed = 0.05 + 3 / sqrt(2.0 * SETS);
-  assert_true(fabs(spread.a - 1) < allowed && fabs(spread.s - 1) < allowed);
+  assert_true(fabs(spread_a - 1) < allowed && fabs(spread_s - 1) < allowed);
 }
 
 /* Readings at steady distances. */
