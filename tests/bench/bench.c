@@ -49,6 +49,12 @@ void bench_fail(const char *why) {
   exit(EXIT_FAILURE);
 }
 
+void *bench_allocate(size_t bytes) {
+  void *memory = malloc(bytes);
+  bench_fail_if(memory == NULL, "out of memory");
+  return memory;
+}
+
 /* ---- time --------------------------------------------------------------------------------- */
 
 static uint64_t read_clock(clockid_t clock) {
@@ -123,9 +129,7 @@ static uint64_t calibrate(const bench_contender *contender) {
 void bench_compare(bench_contender *contenders, size_t count) {
   static double ns[CONTENDERS_MAX][ROUNDS_MAX];
   uint64_t runs[CONTENDERS_MAX];
-  if (count > CONTENDERS_MAX) {
-    bench_fail("too many contenders for one comparison");
-  }
+  bench_fail_if(count > CONTENDERS_MAX, "too many contenders for one comparison");
   for (size_t i = 0; i < count; i++) {
     runs[i] = calibrate(&contenders[i]);
   }
@@ -150,10 +154,10 @@ core_profile bench_profile(const core_isa *isa, unsigned model, unsigned evaluat
     medium.thickness_mm = 4;
   }
   core_profile profile;
-  if (core_profile_prepare(&profile, isa, model, CORE_MOMENTS_EXACT, evaluator, &medium, NULL)
-          .field != NULL) {
-    bench_fail("a measured medium was refused");
-  }
+  bench_fail_if(
+      core_profile_prepare(&profile, isa, model, CORE_MOMENTS_EXACT, evaluator, &medium, NULL)
+              .field != NULL,
+      "a measured medium was refused");
   return profile;
 }
 

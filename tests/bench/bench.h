@@ -26,6 +26,14 @@ void bench_progress(const char *what);
 
 /* Prints why the benchmark cannot go on and exits 1. */
 _Noreturn void bench_fail(const char *why);
+static inline void bench_fail_if(bool wrong, const char *why) {
+  if (wrong) {
+    bench_fail(why);
+  }
+}
+
+/* Returns memory, or does not return. */
+void *bench_allocate(size_t bytes);
 
 uint64_t bench_now_ns(void);
 

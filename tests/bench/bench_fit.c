@@ -62,9 +62,8 @@ static void measure(const char *name, unsigned model, unsigned axis, double g, c
     size_t fitted = 0;
     bench_progress(name);
     const uint64_t start = bench_now_ns();
-    if (core_fit_create(&fit, core_isa_select(NULL), &design).field != NULL) {
-      bench_fail("a design was refused");
-    }
+    bench_fail_if(core_fit_create(&fit, core_isa_select(NULL), &design).field != NULL,
+                  "a design was refused");
     preparing[run] = (double)(bench_now_ns() - start) * 1e-6;
     draw(fit, count);
     const uint64_t begin = bench_now_ns();
@@ -74,9 +73,7 @@ static void measure(const char *name, unsigned model, unsigned axis, double g, c
     }
     seconds[run] = (double)(bench_now_ns() - begin) * 1e-9;
     core_fit_free(fit);
-    if (fitted < SETS * 9 / 10) {
-      bench_fail("fits were no success");
-    }
+    bench_fail_if(fitted < SETS * 9 / 10, "fits were no success");
   }
   bench_figure(SETS / bench_median(seconds, RUNS), "1/s", "fit.%s.sets", name);
   bench_figure(bench_median(preparing, RUNS), "ms", "fit.%s.prepare", name);
@@ -121,13 +118,10 @@ static double fit_there(dipole_client *client) {
   dipole_fits *fits;
   dipole_error error;
   const uint64_t begin = bench_now_ns();
-  if (!dipole_fit(client, &query, &fits, &error)) {
-    bench_fail(error.text);
-  }
+  bench_fail_if(!dipole_fit(client, &query, &fits, &error), error.text);
   const double seconds = (double)(bench_now_ns() - begin) * 1e-9;
-  if (fits->set_count != PIXELS || fits->fitted_count < PIXELS * UINT64_C(98) / 100) {
-    bench_fail("pixels were no success");
-  }
+  bench_fail_if(fits->set_count != PIXELS || fits->fitted_count < PIXELS * UINT64_C(98) / 100,
+                "pixels were no success");
   dipole_fits_free(fits);
   return seconds;
 }
@@ -144,14 +138,13 @@ static void measure_image(void) {
   dipole_error error;
   core_fit *fit;
   bench_progress("fit: an image");
-  if (core_fit_create(&fit, core_isa_select(NULL), &design).field != NULL) {
-    bench_fail("a design was refused");
-  }
+  bench_fail_if(core_fit_create(&fit, core_isa_select(NULL), &design).field != NULL,
+                "a design was refused");
   draw(fit, FREQUENCIES);
   draw_image();
-  if (setenv("DIPOLED_WORKERS", "1", true) != 0 || !dipole_open("private:", &client, &error)) {
-    bench_fail(error.text);
-  }
+  bench_fail_if(setenv("DIPOLED_WORKERS", "1", true) != 0 ||
+                    !dipole_open("private:", &client, &error),
+                error.text);
   double seconds[REQUESTS], ratios[REQUESTS], sum = 0;
   fit_there(client); /* prepares the design */
   for (size_t i = 0; i < REQUESTS; i++) {

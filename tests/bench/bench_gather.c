@@ -34,14 +34,6 @@ typedef struct scene {
   double build_s;
 } scene;
 
-static void *allocate(size_t bytes) {
-  void *memory = malloc(bytes);
-  if (memory == NULL) {
-    bench_fail("no memory is left");
-  }
-  return memory;
-}
-
 /* Sets x to a random place on the sphere. */
 static void place(uint64_t *random, double x[3]) {
   const double z = 2 * core_splitmix_f64(random) - 1;
@@ -54,8 +46,8 @@ static void place(uint64_t *random, double x[3]) {
 
 static scene make_scene(size_t n) {
   static const double colour[CHANNELS] = {1, 0.9, 0.7};
-  scene made = {n, allocate(3 * n * sizeof(double)), allocate(CHANNELS * n * sizeof(float)), NULL,
-                0};
+  scene made = {n, bench_allocate(3 * n * sizeof(double)),
+                bench_allocate(CHANNELS * n * sizeof(float)), NULL, 0};
   uint64_t random = 1;
   for (size_t i = 0; i < n; i++) {
     double *x = made.xyz + 3 * i;
@@ -67,9 +59,7 @@ static scene make_scene(size_t n) {
   }
   const uint64_t start = bench_own_ns();
   made.points = core_gather_points_create(n, made.xyz, CHANNELS, made.power);
-  if (made.points == NULL) {
-    bench_fail("no memory is left");
-  }
+  bench_fail_if(made.points == NULL, "no memory is left");
   while (!core_gather_points_build(made.points, 1000000)) {
   }
   made.build_s = (double)(bench_own_ns() - start) * 1e-9;
@@ -88,20 +78,20 @@ static const core_profile *const profile_list[CHANNELS] = {profiles, profiles + 
 static void prepare_profiles(void) {
   const core_measured_medium *skin = core_measured_medium_by_name("skin1");
   for (size_t c = 0; c < CHANNELS; c++) {
-    if (core_profile_prepare(&profiles[c], core_isa_select(NULL), CORE_MODEL_TRANSPORT,
-                             CORE_MOMENTS_EXACT, CORE_EVALUATOR_LUT, &skin->channel[c], NULL)
-            .field != NULL) {
-      bench_fail("a measured medium was refused");
-    }
+    bench_fail_if(core_profile_prepare(&profiles[c], core_isa_select(NULL), CORE_MODEL_TRANSPORT,
+                                       CORE_MOMENTS_EXACT, CORE_EVALUATOR_LUT, &skin->channel[c],
+                                       NULL)
+                          .field != NULL,
+                  "a measured medium was refused");
   }
 }
 
 static core_gather_sum *make_sum(double tolerance) {
   core_gather_sum *sum;
-  if (core_gather_sum_prepare(&sum, core_isa_select(NULL), CHANNELS, profile_list, tolerance)
-          .field != NULL) {
-    bench_fail("a sum was refused");
-  }
+  bench_fail_if(
+      core_gather_sum_prepare(&sum, core_isa_select(NULL), CHANNELS, profile_list, tolerance)
+              .field != NULL,
+      "a sum was refused");
   return sum;
 }
 
@@ -115,8 +105,8 @@ typedef struct query_set {
 } query_set;
 
 static query_set make_queries(const scene *of, size_t n) {
-  query_set made = {n, allocate(3 * n * sizeof(double)), allocate(n * sizeof(uint32_t)),
-                    allocate(CHANNELS * n * sizeof(double))};
+  query_set made = {n, bench_allocate(3 * n * sizeof(double)), bench_allocate(n * sizeof(uint32_t)),
+                    bench_allocate(CHANNELS * n * sizeof(double))};
   uint64_t random = 2;
   for (size_t i = 0; i < n; i++) {
     place(&random, made.xyz + 3 * i);
@@ -190,9 +180,7 @@ typedef struct angle_node {
 
 static angle_node *new_angle_node(const double corner[3], double edge) {
   angle_node *node = calloc(1, sizeof *node);
-  if (node == NULL) {
-    bench_fail("no memory is left");
-  }
+  bench_fail_if(node == NULL, "no memory is left");
   memcpy(node->corner, corner, sizeof node->corner);
   node->edge = edge;
   return node;

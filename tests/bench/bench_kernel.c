@@ -76,9 +76,8 @@ struct comparison {
 static struct work *add(struct comparison *comparison, const char *name,
                         void (*run)(const void *context), const core_profile *profile,
                         const struct arrays *arrays) {
-  if (comparison->count == CONTENDERS_MAX) {
-    bench_fail("more instruction sets than a comparison holds");
-  }
+  bench_fail_if(comparison->count == CONTENDERS_MAX,
+                "more instruction sets than a comparison holds");
   struct work *work = &comparison->work[comparison->count];
   *work = (struct work){.name = name, .profile = *profile, .arrays = arrays};
   comparison->contenders[comparison->count++] = (bench_contender){.run = run, .context = work};
@@ -134,9 +133,8 @@ static void check_plain_loop(const struct work *plain) {
     const double a = single(plain) ? (double)((const float *)kept)[i] : kept[i];
     const double b = single(plain) ? (double)((const float *)work.arrays->R)[i]
                                    : ((const double *)work.arrays->R)[i];
-    if (!(fabs(a - b) <= (single(plain) ? 1e-4 : 1e-12) * b)) {
-      bench_fail("the plain loop and the kernel disagree");
-    }
+    bench_fail_if(!(fabs(a - b) <= (single(plain) ? 1e-4 : 1e-12) * b),
+                  "the plain loop and the kernel disagree");
   }
 }
 
@@ -185,9 +183,7 @@ static void measure(const core_choice *model, const core_choice *evaluator,
 void bench_kernel(void) {
   const struct arrays arrays = {aligned_alloc(BENCH_ALIGNMENT, LENGTH_MAX * sizeof(double)),
                                 aligned_alloc(BENCH_ALIGNMENT, LENGTH_MAX * sizeof(double))};
-  if (arrays.r == NULL || arrays.R == NULL) {
-    bench_fail("out of memory");
-  }
+  bench_fail_if(arrays.r == NULL || arrays.R == NULL, "out of memory");
   for (const core_choice *evaluator = core_evaluators; evaluator->name != NULL; evaluator++) {
     bench_fill_radii(core_evaluator_bytes(evaluator->id), arrays.r, LENGTH_MAX);
     for (const core_choice *model = core_models; model->name != NULL; model++) {

@@ -100,9 +100,8 @@ static void write_trace(const core_profile *profile, FILE *trace) {
     }
     ptrace(PTRACE_SINGLESTEP, child, NULL, NULL);
   }
-  if (child < 0 || kill(child, SIGKILL) != 0 || !within) {
-    bench_fail("a kernel cannot be stepped through: ptrace is not allowed here");
-  }
+  bench_fail_if(child < 0 || kill(child, SIGKILL) != 0 || !within,
+                "a kernel cannot be stepped through: ptrace is not allowed here");
   waitpid(child, &status, 0);
 }
 
@@ -135,10 +134,9 @@ static void report(const struct measured *measured, size_t count, const char *pa
   }
   const bool good = said != NULL && pclose(said) == 0 && i == count;
   unlink(path);
-  if (!good) {
-    bench_fail("objdump or llvm-mca is missing or does not know this machine: install Debian's "
-               "packages binutils and llvm");
-  }
+  bench_fail_if(!good,
+                "objdump or llvm-mca is missing or does not know this machine: install Debian's "
+                "packages binutils and llvm");
 }
 
 /* ---- all figures --------------------------------------------------------------------------- */
@@ -148,9 +146,7 @@ void bench_limit(void) {
   char path[] = "/tmp/dipoled-bench-XXXXXX";
   const int file = mkstemp(path);
   FILE *trace = file < 0 ? NULL : fdopen(file, "w");
-  if (trace == NULL) {
-    bench_fail("cannot write to /tmp");
-  }
+  bench_fail_if(trace == NULL, "cannot write to /tmp");
   size_t count = 0;
   for (size_t k = 0; k < KERNELS; k++) {
     const core_choice *evaluator = core_choice_by_id(core_evaluators, kernels[k].evaluator);

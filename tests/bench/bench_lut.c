@@ -32,11 +32,10 @@ static void run_R(const void *context) {
 static core_profile profile_with_g(unsigned model, unsigned evaluator, double g) {
   const core_medium tissue = {0.05, 0.95 / (1 - g), g, 1.4};
   core_profile profile;
-  if (core_profile_prepare(&profile, core_isa_select(NULL), model, CORE_MOMENTS_EXACT, evaluator,
-                           &tissue, NULL)
-          .field != NULL) {
-    bench_fail("tissue was refused");
-  }
+  bench_fail_if(core_profile_prepare(&profile, core_isa_select(NULL), model, CORE_MOMENTS_EXACT,
+                                     evaluator, &tissue, NULL)
+                        .field != NULL,
+                "tissue was refused");
   return profile;
 }
 
@@ -117,11 +116,10 @@ static void measure_solutions(void) {
       const core_medium medium = {0.05 + 1e-3 * k, 1 / (1 - g), g, 1.3 + 1e-3 * k};
       double r[FEW];
       core_profile profile;
-      if (core_profile_prepare(&profile, core_isa_select(NULL), CORE_MODEL_TRANSPORT,
-                               CORE_MOMENTS_EXACT, CORE_EVALUATOR_F64, &medium, NULL)
-              .field != NULL) {
-        bench_fail("a medium was refused");
-      }
+      bench_fail_if(core_profile_prepare(&profile, core_isa_select(NULL), CORE_MODEL_TRANSPORT,
+                                         CORE_MOMENTS_EXACT, CORE_EVALUATOR_F64, &medium, NULL)
+                            .field != NULL,
+                    "a medium was refused");
       for (int j = 0; j < FEW; j++) {
         r[j] = 0.1 * (j + 1);
       }

@@ -50,9 +50,7 @@ void bench_mc(void) {
     core_mc_request_medium(&request, medium, 1);
     core_mc_plan *plan = core_mc_plan_create(&request);
     core_mc_batch *batch = plan != NULL ? core_mc_batch_create(plan) : NULL;
-    if (batch == NULL) {
-      bench_fail("out of memory");
-    }
+    bench_fail_if(batch == NULL, "out of memory");
     bench_contender sides[] = {{run_batch, &batch, 0}, {run_plain, &plain, 0}};
     bench_compare(sides, 2);
     const double per_s = CORE_MC_BATCH_PHOTONS / sides[0].ns * 1e9;

@@ -123,17 +123,13 @@ static void pin(enum place place) {
   }
   CPU_ZERO(&one);
   CPU_SET(core, &one);
-  if (sched_setaffinity(0, sizeof one, &one) != 0) {
-    bench_fail("cannot be pinned to a core");
-  }
+  bench_fail_if(sched_setaffinity(0, sizeof one, &one) != 0, "cannot be pinned to a core");
 }
 
 /* Like fork(). The child ends with this process at the latest. */
 static pid_t fork_child(enum place place) {
   const pid_t child = fork();
-  if (child < 0) {
-    bench_fail("cannot start a process");
-  }
+  bench_fail_if(child < 0, "cannot start a process");
   if (child == 0) {
     prctl(PR_SET_PDEATHSIG, SIGKILL);
     pin(place);
@@ -159,14 +155,6 @@ static void end_child(pid_t child) {
   waitpid(child, NULL, 0);
 }
 
-static void *allocate(size_t bytes) {
-  void *memory = malloc(bytes);
-  if (memory == NULL) {
-    bench_fail("out of memory");
-  }
-  return memory;
-}
-
 /* ---- connections -------------------------------------------------------------------------- */
 
 static struct address at_path(const char *name) {
@@ -186,10 +174,9 @@ static int listen_at(struct address *address) {
   if (address->any.sa_family == AF_UNIX) {
     unlink(address->local.sun_path); /* of an earlier server */
   }
-  if (bind(fd, &address->any, address->bytes) != 0 || listen(fd, CONNECTIONS) != 0 ||
-      getsockname(fd, &address->any, &address->bytes) != 0) {
-    bench_fail("cannot listen");
-  }
+  bench_fail_if(bind(fd, &address->any, address->bytes) != 0 || listen(fd, CONNECTIONS) != 0 ||
+                    getsockname(fd, &address->any, &address->bytes) != 0,
+                "cannot listen");
   return fd;
 }
 
@@ -198,17 +185,15 @@ static int listen_at(struct address *address) {
 static struct link make_link(int fd, SSL_CTX *context, int (*shake_hands)(SSL *)) {
   const struct timeval silence = {.tv_sec = SILENCE_S};
   const int on = 1;
-  struct link link = {.fd = fd, .received = allocate(REPLY_MOST)};
+  struct link link = {.fd = fd, .received = bench_allocate(REPLY_MOST)};
   setsockopt(fd, IPPROTO_TCP, TCP_NODELAY, &on, sizeof on); /* fails for others than TCP */
-  if (setsockopt(fd, SOL_SOCKET, SO_RCVTIMEO, &silence, sizeof silence) != 0 ||
-      setsockopt(fd, SOL_SOCKET, SO_SNDTIMEO, &silence, sizeof silence) != 0) {
-    bench_fail("cannot limit a socket");
-  }
+  bench_fail_if(setsockopt(fd, SOL_SOCKET, SO_RCVTIMEO, &silence, sizeof silence) != 0 ||
+                    setsockopt(fd, SOL_SOCKET, SO_SNDTIMEO, &silence, sizeof silence) != 0,
+                "cannot limit a socket");
   if (context != NULL) {
     link.ssl = SSL_new(context);
-    if (link.ssl == NULL || SSL_set_fd(link.ssl, fd) != 1 || shake_hands(link.ssl) != 1) {
-      bench_fail("no handshake");
-    }
+    bench_fail_if(link.ssl == NULL || SSL_set_fd(link.ssl, fd) != 1 || shake_hands(link.ssl) != 1,
+                  "no handshake");
   }
   return link;
 }
@@ -219,9 +204,8 @@ static struct link connect_to(const struct server *server) {
   const int fd = socket(address->any.sa_family, SOCK_STREAM | SOCK_CLOEXEC, 0);
   const uint64_t end_ns = bench_now_ns() + SILENCE_S * 1000 * MS;
   while (connect(fd, &address->any, address->bytes) != 0) {
-    if (waitpid(server->pid, NULL, WNOHANG) != 0 || bench_now_ns() > end_ns) {
-      bench_fail("a server does not get ready; `make` builds dipoled beside this program");
-    }
+    bench_fail_if(waitpid(server->pid, NULL, WNOHANG) != 0 || bench_now_ns() > end_ns,
+                  "a server does not get ready; `make` builds dipoled beside this program");
     nanosleep(&nap, NULL);
   }
   return make_link(fd, server->tls, SSL_connect);
@@ -262,9 +246,8 @@ static bool receive_all(const struct link *link, uint8_t *bytes, size_t count) {
 /* ---- requests ----------------------------------------------------------------------------- */
 
 static void send_request(const struct link *link, const struct exchange *exchange) {
-  if (!send_all(link, exchange->request, exchange->request_bytes)) {
-    bench_fail("a server does not take a request");
-  }
+  bench_fail_if(!send_all(link, exchange->request, exchange->request_bytes),
+                "a server does not take a request");
 }
 
 /* Asks a server for the first reply, which ends with `end` if that is given. */
@@ -272,8 +255,8 @@ static struct exchange first_exchange(const struct server *server, const void *r
                                       size_t request_bytes, const void *end, size_t end_bytes) {
   struct exchange exchange = {.requests = 1,
                               .request_bytes = request_bytes,
-                              .request = allocate(request_bytes),
-                              .reply = allocate(REPLY_MOST)};
+                              .request = bench_allocate(request_bytes),
+                              .reply = bench_allocate(REPLY_MOST)};
   const struct link link = connect_to(server);
   struct pollfd readable = {.fd = link.fd, .events = POLLIN};
   memcpy(exchange.request, request, request_bytes);
@@ -281,15 +264,12 @@ static struct exchange first_exchange(const struct server *server, const void *r
   while (poll(&readable, 1, exchange.reply_bytes > 0 ? LAST_BYTE_MS : SILENCE_S * 1000) == 1) {
     const ssize_t got =
         read_some(&link, exchange.reply + exchange.reply_bytes, REPLY_MOST - exchange.reply_bytes);
-    if (got <= 0) {
-      bench_fail("a server does not reply");
-    }
+    bench_fail_if(got <= 0, "a server does not reply");
     exchange.reply_bytes += (size_t)got;
   }
-  if (exchange.reply_bytes < end_bytes ||
-      memcmp(exchange.reply + exchange.reply_bytes - end_bytes, end, end_bytes) != 0) {
-    bench_fail("a server does not reply with the right values");
-  }
+  bench_fail_if(exchange.reply_bytes < end_bytes ||
+                    memcmp(exchange.reply + exchange.reply_bytes - end_bytes, end, end_bytes) != 0,
+                "a server does not reply with the right values");
   close_link(&link);
   return exchange;
 }
@@ -298,7 +278,7 @@ static struct exchange make_eval(const struct server *server, size_t radius_coun
   const size_t bytes = radius_count * sizeof(float);
   const size_t request_bytes =
       WIRE_BYTES_header + WIRE_BYTES_eval_request + WIRE_BYTES_medium + bytes;
-  uint8_t *request = allocate(request_bytes);
+  uint8_t *request = bench_allocate(request_bytes);
   const wire_header header = {
       .magic = WIRE_MAGIC,
       .version = WIRE_VERSION,
@@ -371,9 +351,8 @@ static struct exchange make_get(const struct server *server, const char *path) {
   struct exchange exchange = first_exchange(server, request, strlen(request), "", 0);
   exchange.reply[exchange.reply_bytes] = '\0';
   const char *reply = (const char *)exchange.reply, *body = strstr(reply, "\r\n\r\n");
-  if (strncmp(reply, "HTTP/1.1 200", 12) != 0 || body == NULL) {
-    bench_fail("a request over HTTP was refused");
-  }
+  bench_fail_if(strncmp(reply, "HTTP/1.1 200", 12) != 0 || body == NULL,
+                "a request over HTTP was refused");
   exchange.same_from = (size_t)(body - reply); /* the time stands before */
   return exchange;
 }
@@ -382,9 +361,7 @@ static struct exchange make_get(const struct server *server, const char *path) {
 static void repeat(struct exchange *exchange, size_t times) {
   const size_t request_bytes = exchange->request_bytes, reply_bytes = exchange->reply_bytes;
   exchange->request = realloc(exchange->request, times * request_bytes);
-  if (exchange->request == NULL || times * reply_bytes > REPLY_MOST) {
-    bench_fail("out of memory");
-  }
+  bench_fail_if(exchange->request == NULL || times * reply_bytes > REPLY_MOST, "out of memory");
   for (size_t i = 1; i < times; i++) {
     memcpy(exchange->request + i * request_bytes, exchange->request, request_bytes);
     memcpy(exchange->reply + i * reply_bytes, exchange->reply, reply_bytes);
@@ -460,9 +437,8 @@ static struct side open_echo(struct address address, const struct exchange *exch
 
 /* checks: whether it compares the reply with the first one. */
 static void receive_reply(const struct link *link, const struct exchange *exchange, bool checks) {
-  if (!receive_all(link, link->received, exchange->reply_bytes)) {
-    bench_fail("a server does not reply");
-  }
+  bench_fail_if(!receive_all(link, link->received, exchange->reply_bytes),
+                "a server does not reply");
   if (checks && memcmp(link->received + exchange->same_from, exchange->reply + exchange->same_from,
                        exchange->reply_bytes - exchange->same_from) != 0) {
     bench_fail("a reply is another than the first one");
@@ -497,9 +473,7 @@ static double load(struct side *side, uint64_t duration_ns) {
     struct epoll_event events[CONNECTIONS];
     const int ready = epoll_wait(side->epoll, events, CONNECTIONS, SILENCE_S * 1000);
     const bool goes_on = bench_now_ns() < start_ns + duration_ns;
-    if (ready <= 0) {
-      bench_fail("a server does not reply");
-    }
+    bench_fail_if(ready <= 0, "a server does not reply");
     for (int i = 0; i < ready; i++) {
       const struct link *link = &side->links[events[i].data.u64];
       receive_reply(link, side->exchange, true);
@@ -531,9 +505,8 @@ static double kernel_us(void) {
 static double cpu_us(pid_t server) {
   clockid_t clock;
   struct timespec taken;
-  if (clock_getcpuclockid(server, &clock) != 0 || clock_gettime(clock, &taken) != 0) {
-    bench_fail("a server has ended");
-  }
+  bench_fail_if(clock_getcpuclockid(server, &clock) != 0 || clock_gettime(clock, &taken) != 0,
+                "a server has ended");
   return (double)taken.tv_sec * 1e6 + (double)taken.tv_nsec * 1e-3;
 }
 
@@ -585,10 +558,10 @@ static void make_certificate(SSL_CTX *server) {
            "openssl req -x509 -newkey ec -pkeyopt ec_paramgen_curve:P-256 -nodes -subj /CN=bench "
            "-keyout %s -out %s 2>/dev/null",
            key, certificate);
-  if (system(command) != 0 || SSL_CTX_use_certificate_chain_file(server, certificate) != 1 ||
-      SSL_CTX_use_PrivateKey_file(server, key, SSL_FILETYPE_PEM) != 1) {
-    bench_fail("the command openssl makes no certificate: is it installed?");
-  }
+  bench_fail_if(system(command) != 0 ||
+                    SSL_CTX_use_certificate_chain_file(server, certificate) != 1 ||
+                    SSL_CTX_use_PrivateKey_file(server, key, SSL_FILETYPE_PEM) != 1,
+                "the command openssl makes no certificate: is it installed?");
 }
 
 /* Starts the dipoled beside this program, at a Unix socket and at a port. option: that of the port;
@@ -598,10 +571,9 @@ static void begin(const char *option, const char *scheme, SSL_CTX *const tls[2],
   char program[PATH_MAX] = "", path[PATH_MAX], port[64];
   signal(SIGPIPE, SIG_IGN);
   strcpy(folder, "/tmp/dipoled-bench-XXXXXX");
-  if (sched_getaffinity(0, sizeof cores, &cores) != 0 || mkdtemp(folder) == NULL ||
-      readlink("/proc/self/exe", program, sizeof program - 16) < 0) {
-    bench_fail("cannot find the cores or this program, or make a folder in /tmp");
-  }
+  bench_fail_if(sched_getaffinity(0, sizeof cores, &cores) != 0 || mkdtemp(folder) == NULL ||
+                    readlink("/proc/self/exe", program, sizeof program - 16) < 0,
+                "cannot find the cores or this program, or make a folder in /tmp");
   core_profile_prepare(&profile, core_isa_select(NULL), CORE_MODEL_BETTER, CORE_MOMENTS_EXACT,
                        CORE_EVALUATOR_F32, &medium, NULL);
   snprintf(certificate, sizeof certificate, "%s/pem", folder);
@@ -627,9 +599,8 @@ static void end(const struct server *server) {
   end_child(server->pid);
   core_profile_free(&profile);
   snprintf(command, sizeof command, "rm -r %s", folder);
-  if (system(command) != 0 || sched_setaffinity(0, sizeof cores, &cores) != 0) {
-    bench_fail("cannot remove a folder in /tmp");
-  }
+  bench_fail_if(system(command) != 0 || sched_setaffinity(0, sizeof cores, &cores) != 0,
+                "cannot remove a folder in /tmp");
 }
 
 /* Round trips, beside an echo server. */

@@ -40,11 +40,10 @@ static double measure_solution(size_t count, double tolerance) {
   }
   layer[count - 1].thickness_mm = INFINITY;
   const double start_s = processor_s();
-  if (solver_layers_solve(&solution, core_isa_select(NULL), layer, count, layer[count - 1].eta,
-                          tolerance, NULL)
-          .field != NULL) {
-    bench_fail("layers were refused");
-  }
+  bench_fail_if(solver_layers_solve(&solution, core_isa_select(NULL), layer, count,
+                                    layer[count - 1].eta, tolerance, NULL)
+                        .field != NULL,
+                "layers were refused");
   const double taken_s = processor_s() - start_s;
   double most = 0;
   for (double r = SOLVER_RADIUS_MOST; r >= 0.05; r /= 1.2) {
@@ -74,9 +73,7 @@ static double measure_walks(double seconds) {
   core_mc_plan *plan = core_mc_plan_create(&request);
   core_mc_batch *batch = plan != NULL ? core_mc_batch_create(plan) : NULL;
   core_mc_total *total = plan != NULL ? core_mc_total_create(plan) : NULL;
-  if (batch == NULL || total == NULL) {
-    bench_fail("out of memory");
-  }
+  bench_fail_if(batch == NULL || total == NULL, "out of memory");
   const double start_s = processor_s();
   for (uint64_t i = 0; processor_s() - start_s < seconds; i++) {
     core_mc_batch_start(batch, i);

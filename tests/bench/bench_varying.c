@@ -56,11 +56,10 @@ static void run_invert(const void *context) {
 
 static core_varying prepare(unsigned model, unsigned evaluator, double g) {
   core_varying varying;
-  if (core_varying_prepare(&varying, core_isa_select(NULL), model, CORE_MOMENTS_EXACT, evaluator, g,
-                           ETA, NULL)
-          .field != NULL) {
-    bench_fail("media that vary were refused");
-  }
+  bench_fail_if(core_varying_prepare(&varying, core_isa_select(NULL), model, CORE_MOMENTS_EXACT,
+                                     evaluator, g, ETA, NULL)
+                        .field != NULL,
+                "media that vary were refused");
   return varying;
 }
 
