@@ -61,9 +61,8 @@ core_mc_energy montecarlo_energy(const montecarlo_run *run, size_t albedo) {
   core_mc_total_energy(run->total, albedo, &energy);
   const double sum = energy.left[CORE_MC_REFLECTED].value + energy.left[CORE_MC_TRANSMITTED].value +
                      energy.absorbed.value + energy.unfinished.value - energy.roulette.value;
-  if (!(fabs(sum - 1) <= IMBALANCE_MAX && fabs(energy.imbalance) <= IMBALANCE_MAX)) {
-    fail_msg("energy out of balance by %g", sum - 1);
-  }
+  UNIT_FAIL_IF(!(fabs(sum - 1) <= IMBALANCE_MAX && fabs(energy.imbalance) <= IMBALANCE_MAX),
+               "energy out of balance by %g", sum - 1);
   return energy;
 }
 

@@ -40,10 +40,9 @@ static solver_total total_of(double ratio, const solver_phase *phase, double eta
 static double hold(const char *what, double r, transport_number number, double truth, double off,
                    double bound) {
   const double error = fabs(number.value / truth - 1);
-  if (!(error <= bound + off) || !(error <= number.error / number.value + off)) {
-    fail_msg("%s at %g: %.9g, not %.9g: off by %.2g, stated %.2g", what, r, number.value, truth,
-             error, number.error / number.value);
-  }
+  UNIT_FAIL_IF(!(error <= bound + off) || !(error <= number.error / number.value + off),
+               "%s at %g: %.9g, not %.9g: off by %.2g, stated %.2g", what, r, number.value, truth,
+               error, number.error / number.value);
   return error;
 }
 
@@ -271,10 +270,9 @@ static void expect_share(double ratio, double g, double eta, double NA, double x
   fit_aperture_prepare(&aperture, g, eta, NA);
   fit_aperture_medium(&aperture, ratio, &row);
   const double stated = fit_aperture_error(&aperture, ratio, x, x);
-  if (!(stated < 0.1 && fabs(fit_aperture_share(&row, log(x)) / share - 1) < stated)) {
-    fail_msg("eta %g, NA %g, x %g: share %g, not %g within %g", eta, NA, x,
-             fit_aperture_share(&row, log(x)), share, stated);
-  }
+  UNIT_FAIL_IF(!(stated < 0.1 && fabs(fit_aperture_share(&row, log(x)) / share - 1) < stated),
+               "eta %g, NA %g, x %g: share %g, not %g within %g", eta, NA, x,
+               fit_aperture_share(&row, log(x)), share, stated);
   /* that of a range is the largest in it */
   assert_true(fit_aperture_error(&aperture, ratio, x, 3 * x) >= stated);
 }
@@ -307,10 +305,8 @@ UNIT_TEST(light_within_cones_is_that_of_walks) {
       const double off = (rings[i].R_per_mm2 - R) / hypot(rings[i].error_per_mm2, 0.005 * R);
       squares += off * off;
       expect_share(ratio, g, etas[eta], request.aperture, r, shares[i]);
-      if (!(fabs(off) < 4.5)) {
-        fail_msg("eta %g, sine %g, r %g: %g +- %g, not %g", etas[eta], request.aperture, r,
-                 rings[i].R_per_mm2, rings[i].error_per_mm2, R);
-      }
+      UNIT_FAIL_IF(!(fabs(off) < 4.5), "eta %g, sine %g, r %g: %g +- %g, not %g", etas[eta],
+                   request.aperture, r, rings[i].R_per_mm2, rings[i].error_per_mm2, R);
     }
     printf("eta %g, sine %.2f: share %.4f to %.4f, chi-squared %.2f\n", etas[eta], request.aperture,
            shares[0], shares[RINGS - 1], squares / RINGS);
@@ -379,10 +375,8 @@ UNIT_TEST(the_reference_table_holds) {
     memcpy(before, medium, sizeof medium);
     if (row.g == 0) {
       const double off = fabs(row.value / isotropic_value(&row, solution) - 1);
-      if (!(off <= row.bound)) {
-        fail_msg("%s of ratio %g, eta %g at %g: off by %g, stated %g", row.quantity, row.ratio,
-                 row.eta, row.r, off, row.bound);
-      }
+      UNIT_FAIL_IF(!(off <= row.bound), "%s of ratio %g, eta %g at %g: off by %g, stated %g",
+                   row.quantity, row.ratio, row.eta, row.r, off, row.bound);
       isotropic++;
     }
     if (!isnan(row.mc)) {

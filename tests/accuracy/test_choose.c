@@ -37,11 +37,10 @@ static void check_promise(const core_choose_request *request, const core_candida
     const core_stated_errors errors =
         core_profile_errors(&profile, request->wanted, request->radii);
     const double stated = errors.numerical + errors.numerical_per_mm * request->radii.most_mm;
-    if (!(stated <= candidate->numerical_error)) {
-      fail_msg("sigma_a %g, g %g, eta %g, wanted %u, evaluator %u: promised %.10g, stated %.10g",
-               request->media[i].sigma_a_per_mm, request->media[i].g, request->media[i].eta,
-               request->wanted, candidate->evaluator, candidate->numerical_error, stated);
-    }
+    UNIT_FAIL_IF(!(stated <= candidate->numerical_error),
+                 "sigma_a %g, g %g, eta %g, wanted %u, evaluator %u: promised %.10g, stated %.10g",
+                 request->media[i].sigma_a_per_mm, request->media[i].g, request->media[i].eta,
+                 request->wanted, candidate->evaluator, candidate->numerical_error, stated);
     core_profile_free(&profile);
   }
 }

@@ -81,10 +81,9 @@ UNIT_TEST(derivatives_of_transport_are_those_of_its_solutions) {
         const double by_s = unit_value_at(&profile, CORE_QUANTITY_BY_SIGMA_S, r[i]);
         const double off = fmax(fabs(a - by_a[i]), fabs(by_s - (2 + X[i] - by_a[i])));
         worst = fmax(worst, off / stated(&profile, r[i]));
-        if (!(off <= stated(&profile, r[i]))) {
-          fail_msg("medium %zu, evaluator %u at %g: off by %.3g, stated %.3g", m, evaluators[e],
-                   r[i], off, stated(&profile, r[i]));
-        }
+        UNIT_FAIL_IF(!(off <= stated(&profile, r[i])),
+                     "medium %zu, evaluator %u at %g: off by %.3g, stated %.3g", m, evaluators[e],
+                     r[i], off, stated(&profile, r[i]));
       }
       assert_true(isinf(stated(&profile, 1.01 * profile.reach.most_mm)));
       printf("sigma_a %g, eta %g, evaluator %u: stated %.2g, %.3f of it\n", media[m].sigma_a_per_mm,
@@ -125,9 +124,8 @@ UNIT_TEST(derivatives_of_equal_layers_sum_to_those_of_their_half_space) {
       }
       const double off = fabs(sum - unit_value_at(&whole, both[q], r));
       worst = fmax(worst, off / error);
-      if (!(off <= error)) {
-        fail_msg("quantity %d at %g mm: off by %.3g, stated %.3g", q, r, off, error);
-      }
+      UNIT_FAIL_IF(!(off <= error), "quantity %d at %g mm: off by %.3g, stated %.3g", q, r, off,
+                   error);
     }
     assert_true(r < 0.5 || stated(&part[0], r) < 5e-3);
   }
@@ -168,9 +166,8 @@ UNIT_TEST(derivatives_of_layers_are_those_of_a_change_of_scale) {
                         solver_layers_at(solution[1], 0, r * exp(-h)).value,
                         solver_layers_at(solution[1], 0, r * exp(h)).value};
     const double expected = 2 + (log(R[1] / R[0]) + log(R[3] / R[2])) / (2 * h);
-    if (!(fabs(sum - expected) <= error)) {
-      fail_msg("%g mm: %.6g, not %.6g +- %.2g", r, sum, expected, error);
-    }
+    UNIT_FAIL_IF(!(fabs(sum - expected) <= error), "%g mm: %.6g, not %.6g +- %.2g", r, sum,
+                 expected, error);
   }
   for (int i = 0; i < 3; i++) {
     solver_layers_free(solution[i]);
@@ -226,10 +223,9 @@ UNIT_TEST(slopes_are_those_of_R_at_every_distance) {
         const double R = unit_value_at(&profile, CORE_QUANTITY_R, r);
         const double slope = r * unit_value_at(&profile, CORE_QUANTITY_SLOPE, r) / R;
         const double expected = log(far / near) / (2 * h);
-        if (R > 0 && !(fabs(slope - expected) <= 1e-3 * (1 + fabs(expected)))) {
-          fail_msg("model %u, medium %zu, at %g mm: slope %.9g, not %.9g", models[m], i, r, slope,
-                   expected);
-        }
+        UNIT_FAIL_IF(R > 0 && !(fabs(slope - expected) <= 1e-3 * (1 + fabs(expected))),
+                     "model %u, medium %zu, at %g mm: slope %.9g, not %.9g", models[m], i, r, slope,
+                     expected);
       }
       core_profile_free(&profile);
     }

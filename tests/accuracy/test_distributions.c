@@ -78,18 +78,16 @@ static void check_density(const core_profile *f64, uint64_t *random) {
       off += share * fmin(core_profile_errors(f64, CORE_QUANTITY_R, at).numerical, 1);
     }
     worst = fmax(worst, fabs(sum - 0.5 * share - cdf[i]));
-    if (!(cdf[i] >= last - 1e-13 && cdf[i] <= 1)) {
-      fail_msg("%s: the cdf at %g is %.17g after %.17g", name_of(f64), r[i], cdf[i], last);
-    }
+    UNIT_FAIL_IF(!(cdf[i] >= last - 1e-13 && cdf[i] <= 1), "%s: the cdf at %g is %.17g after %.17g",
+                 name_of(f64), r[i], cdf[i], last);
     if (!(fabs(ring[i] - 2 * acos(-1) * r[i] * R[i]) <= 1e-13 * ring[i] + 1e-290)) {
       fail_msg("%s: 2 pi r R at %g is %g", name_of(f64), r[i], ring[i]);
     }
   }
   /* T and the total of layers come from different parts of a solution: T counts by its error. */
-  if (!(fabs(sum - 1) < (solved ? 1e-4 : 1e-6) + off && worst < 1e-4 + off)) {
-    fail_msg("%s: the density adds up to %.9f, and strays from the cdf by %.2g", name_of(f64), sum,
-             worst);
-  }
+  UNIT_FAIL_IF(!(fabs(sum - 1) < (solved ? 1e-4 : 1e-6) + off && worst < 1e-4 + off),
+               "%s: the density adds up to %.9f, and strays from the cdf by %.2g", name_of(f64),
+               sum, worst);
 }
 
 UNIT_TEST(every_density_integrates_to_1_and_to_the_cdf) {
@@ -112,10 +110,9 @@ static void check_slope(const core_profile *f64, uint64_t *random) {
   for (int i = 0; i < RADII; i++) {
     const double h = 1e-4 * r[i][2];
     const double slope = (8 * (R[i][3] - R[i][1]) - (R[i][4] - R[i][0])) / (12 * h);
-    if (!(fabs(value[i][2] - slope) <= 1e-8 * fabs(slope) + 1e-10 * R[i][2] / r[i][2])) {
-      fail_msg("%s: dR/dr at %g is %.12g, by differences %.12g", name_of(f64), r[i][2], value[i][2],
-               slope);
-    }
+    UNIT_FAIL_IF(!(fabs(value[i][2] - slope) <= 1e-8 * fabs(slope) + 1e-10 * R[i][2] / r[i][2]),
+                 "%s: dR/dr at %g is %.12g, by differences %.12g", name_of(f64), r[i][2],
+                 value[i][2], slope);
     if (R[i][2] > 1e-300 && !(fabs(ln_R[i][2] - log(R[i][2])) < 1e-11)) {
       fail_msg("%s: ln R at %g is %.15g, not %.15g", name_of(f64), r[i][2], ln_R[i][2],
                log(R[i][2]));
@@ -151,14 +148,13 @@ static void check_unit(const core_profile *profile, uint64_t *random) {
   const core_stated_errors same = core_profile_errors(&other, CORE_QUANTITY_R, range_there);
   const double value = unit_value_at(profile, CORE_QUANTITY_R, r_mm);
   const double value_there = unit_value_at(&other, CORE_QUANTITY_R, r_mm / UNIT);
-  if (!(fabs(same.numerical - here.numerical) <= 1e-3 * here.numerical &&
-        fabs(same.numerical_per_mm / UNIT - here.numerical_per_mm) <=
-            1e-3 * here.numerical_per_mm &&
-        fabs(value_there / UNIT / UNIT / value - 1) <= 2 * here.numerical + 1e-12)) {
-    fail_msg("%s: error %g and %g, per mm %g and %g, R %g and %g", name_of(profile), here.numerical,
-             same.numerical, here.numerical_per_mm, same.numerical_per_mm / UNIT, value,
-             value_there / UNIT / UNIT);
-  }
+  UNIT_FAIL_IF(!(fabs(same.numerical - here.numerical) <= 1e-3 * here.numerical &&
+                 fabs(same.numerical_per_mm / UNIT - here.numerical_per_mm) <=
+                     1e-3 * here.numerical_per_mm &&
+                 fabs(value_there / UNIT / UNIT / value - 1) <= 2 * here.numerical + 1e-12),
+               "%s: error %g and %g, per mm %g and %g, R %g and %g", name_of(profile),
+               here.numerical, same.numerical, here.numerical_per_mm, same.numerical_per_mm / UNIT,
+               value, value_there / UNIT / UNIT);
   core_profile_free(&other);
 }
 

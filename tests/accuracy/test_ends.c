@@ -13,9 +13,9 @@ static core_profile prepared(unsigned model, core_medium medium, double toleranc
 }
 
 static void assert_near(double value, double truth, double relative, const char *what, double r) {
-  if (!(fabs(value - truth) <= relative * fabs(truth))) {
-    fail_msg("%s at %g is %.12g, not %.12g: off by %.3g", what, r, value, truth, value / truth - 1);
-  }
+  UNIT_FAIL_IF(!(fabs(value - truth) <= relative * fabs(truth)),
+               "%s at %g is %.12g, not %.12g: off by %.3g", what, r, value, truth,
+               value / truth - 1);
 }
 
 /* ---- transport ---------------------------------------------------------------------------- */

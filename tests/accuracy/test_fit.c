@@ -423,9 +423,8 @@ UNIT_TEST(discs_have_the_mean_of_R) {
         sum += weight[k] * R[k];
       }
       const double truth = mean_of_points(&profile, discs[i][0], discs[i][1], discs[i][2]);
-      if (!(fabs(sum / truth - 1) < 3e-4)) {
-        fail_msg("discs %zu, medium %zu: %.8g, not %.8g", i, m, sum, truth);
-      }
+      UNIT_FAIL_IF(!(fabs(sum / truth - 1) < 3e-4), "discs %zu, medium %zu: %.8g, not %.8g", i, m,
+                   sum, truth);
     }
   }
 }
@@ -449,10 +448,9 @@ UNIT_TEST(a_disc_around_a_point_has_the_energy_within) {
         sum += weight[k] * R[k];
       }
       const double truth = within * profile.albedo / (3.14159265358979323846 * radius * radius);
-      if (!(fabs(sum / truth - 1) < 1e-4 + 2 * profile.numerical_error)) {
-        fail_msg("medium %zu, diameter %g: %.8g, not %.8g: %.3g off", m, diameter, sum, truth,
-                 sum / truth - 1);
-      }
+      UNIT_FAIL_IF(!(fabs(sum / truth - 1) < 1e-4 + 2 * profile.numerical_error),
+                   "medium %zu, diameter %g: %.8g, not %.8g: %.3g off", m, diameter, sum, truth,
+                   sum / truth - 1);
     }
     core_profile_free(&profile);
   }
@@ -605,9 +603,8 @@ UNIT_TEST(wrong_errors_are_implausible) {
   for (size_t i = 0; i < sizeof rows / sizeof rows[0]; i++) {
     space_out(&subject, rows[i].readings);
     core_fit *fit = created(&subject.design);
-    if (!(fabs(fit->chi_squared_most / rows[i].limit - 1) < 1e-7)) {
-      fail_msg("%zu readings: chi-squared up to %.9g", rows[i].readings, fit->chi_squared_most);
-    }
+    UNIT_FAIL_IF(!(fabs(fit->chi_squared_most / rows[i].limit - 1) < 1e-7),
+                 "%zu readings: chi-squared up to %.9g", rows[i].readings, fit->chi_squared_most);
     core_fit_free(fit);
   }
   /* Two readings are half a percent too large, first with errors of 1 %, then of 0.01 %. */
@@ -692,17 +689,17 @@ static void compare_inverse(const core_fit_design *design, const double places[2
     fitted_sets += other.status == CORE_FIT_STATUS_FITTED;
     const double within = 1e-9 * fmax(other.condition, 1);
     worst = fmax(worst, fabs(one.best.sigma_a_per_mm / other.best.sigma_a_per_mm - 1));
-    if (one.status != other.status ||
-        !is_same(one.best.sigma_a_per_mm, other.best.sigma_a_per_mm, within) ||
-        !is_same(one.best.sigma_s_prime_per_mm, other.best.sigma_s_prime_per_mm, within) ||
-        !is_same(one.second.sigma_a_per_mm, other.second.sigma_a_per_mm, 1e-4)) {
-      fail_msg("at %g and %g, readings %.17g and %.17g, errors of %g: %d, %.12g, %.12g, second %g; "
-               "without the inverse %d, %.12g, %.12g, second %g",
-               places[0], places[1], values[0], values[1], relative, (int)one.status,
-               one.best.sigma_a_per_mm, one.best.sigma_s_prime_per_mm, one.second.chi_squared,
-               (int)other.status, other.best.sigma_a_per_mm, other.best.sigma_s_prime_per_mm,
-               other.second.chi_squared);
-    }
+    UNIT_FAIL_IF(
+        one.status != other.status ||
+            !is_same(one.best.sigma_a_per_mm, other.best.sigma_a_per_mm, within) ||
+            !is_same(one.best.sigma_s_prime_per_mm, other.best.sigma_s_prime_per_mm, within) ||
+            !is_same(one.second.sigma_a_per_mm, other.second.sigma_a_per_mm, 1e-4),
+        "at %g and %g, readings %.17g and %.17g, errors of %g: %d, %.12g, %.12g, second %g; "
+        "without the inverse %d, %.12g, %.12g, second %g",
+        places[0], places[1], values[0], values[1], relative, (int)one.status,
+        one.best.sigma_a_per_mm, one.best.sigma_s_prime_per_mm, one.second.chi_squared,
+        (int)other.status, other.best.sigma_a_per_mm, other.best.sigma_s_prime_per_mm,
+        other.second.chi_squared);
   }
   printf("at %g and %g: %zu of %zu by the inverse, %zu fitted, off by %.2g at most\n", places[0],
          places[1], inverted, count, fitted_sets, worst);

@@ -14,9 +14,8 @@
 /* ---- the reference ------------------------------------------------------------------------- */
 
 static void assert_close(double value, double expected, double tolerance, const char *what) {
-  if (!(fabs(value - expected) <= tolerance)) {
-    fail_msg("%s: %.17g, expected %.17g", what, value, expected);
-  }
+  UNIT_FAIL_IF(!(fabs(value - expected) <= tolerance), "%s: %.17g, expected %.17g", what, value,
+               expected);
 }
 
 /* 30-digit quadratures of C1, C2 and of A = (1 + 3 C2) / (1 - 2 C1), to ten digits. */

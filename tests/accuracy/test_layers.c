@@ -45,10 +45,9 @@ static const struct known of_skin[] = {
 };
 
 static void expect_near(transport_number found, double truth, double error, double r_mm) {
-  if (!(fabs(found.value - truth) <= found.error + error)) {
-    fail_msg("%.9g at %g mm, not %.9g +- %.2g: stated %.2g", found.value, r_mm, truth, error,
-             found.error);
-  }
+  UNIT_FAIL_IF(!(fabs(found.value - truth) <= found.error + error),
+               "%.9g at %g mm, not %.9g +- %.2g: stated %.2g", found.value, r_mm, truth, error,
+               found.error);
   assert_true(r_mm < 0.05 || found.error <= 0.02 * found.value);
 }
 

@@ -82,10 +82,9 @@ UNIT_TEST(errors_hold_against_the_solver) {
       for (size_t i = 0; i < LISTED; i++) {
         const transport_number R = solver_at(solution, k, r[i]);
         const double off = fabs(unit_value_at(&profile, CORE_QUANTITY_R, r[i]) / R.value - 1);
-        if (!(off <= error[i] + (1 + off) * 2 * R.error / R.value)) {
-          fail_msg("model %u, eta %g, r %g: off by %.5g, stated %.5g", models[m], etas[k], r[i],
-                   off, error[i]);
-        }
+        UNIT_FAIL_IF(!(off <= error[i] + (1 + off) * 2 * R.error / R.value),
+                     "model %u, eta %g, r %g: off by %.5g, stated %.5g", models[m], etas[k], r[i],
+                     off, error[i]);
         known++;
       }
       core_profile_free(&profile);

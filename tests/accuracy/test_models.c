@@ -31,9 +31,8 @@ static double albedo_of(unsigned model, core_medium medium, const core_parameter
 }
 
 static void assert_near(double value, double truth, double relative, const char *what) {
-  if (!(fabs(value - truth) <= relative * fabs(truth))) {
-    fail_msg("%s is %.12g, not %.12g: off by %.3g", what, value, truth, value / truth - 1);
-  }
+  UNIT_FAIL_IF(!(fabs(value - truth) <= relative * fabs(truth)),
+               "%s is %.12g, not %.12g: off by %.3g", what, value, truth, value / truth - 1);
 }
 
 /* sigma_t' = 1 per mm. */

@@ -56,10 +56,8 @@ UNIT_TEST(exact_totals_are_met) {
       const core_mc_energy energy = montecarlo_energy(&run, k);
       const double entered = (exact_totals[i].total[k] - R_sp) / (1 - R_sp);
       const double deviation = montecarlo_deviation(energy.left[CORE_MC_REFLECTED], entered);
-      if (!(fabs(deviation) <= DEVIATIONS_MAX)) {
-        fail_msg("eta %g albedo %g: %g standard errors off", exact_totals[i].eta, exact_albedos[k],
-                 deviation);
-      }
+      UNIT_FAIL_IF(!(fabs(deviation) <= DEVIATIONS_MAX), "eta %g albedo %g: %g standard errors off",
+                   exact_totals[i].eta, exact_albedos[k], deviation);
     }
     montecarlo_run_free(&run);
   }
@@ -96,10 +94,9 @@ UNIT_TEST(adding_doubling_is_met) {
 
 static void assert_near(const char *what, core_mc_value ours, double theirs, double error) {
   const double deviation = (ours.value - theirs) / hypot(ours.error, error);
-  if (!(fabs(deviation) <= DEVIATIONS_MAX)) {
-    fail_msg("%s: %.6f +- %.6f, not %.6f: %.1f standard errors off", what, ours.value, ours.error,
-             theirs, deviation);
-  }
+  UNIT_FAIL_IF(!(fabs(deviation) <= DEVIATIONS_MAX),
+               "%s: %.6f +- %.6f, not %.6f: %.1f standard errors off", what, ours.value, ours.error,
+               theirs, deviation);
 }
 
 static montecarlo_run walk_layers(const core_medium *layers, size_t count, double eta_below,
@@ -190,10 +187,9 @@ UNIT_TEST(layers_are_walked_as_they_are_solved) {
         if (rings[k].photons > 200) {
           squares += square(off / hypot(rings[k].error_per_mm2, stated));
           compared++;
-          if (!(off <= stated + 1.1 * DEVIATIONS_MAX * rings[k].error_per_mm2)) {
-            fail_msg("stack %zu side %zu, %g mm: %g +- %g, solved %g +- %g", i, side,
-                     rings[k].from_mm, rings[k].R_per_mm2, rings[k].error_per_mm2, R, stated);
-          }
+          UNIT_FAIL_IF(!(off <= stated + 1.1 * DEVIATIONS_MAX * rings[k].error_per_mm2),
+                       "stack %zu side %zu, %g mm: %g +- %g, solved %g +- %g", i, side,
+                       rings[k].from_mm, rings[k].R_per_mm2, rings[k].error_per_mm2, R, stated);
         }
       }
     }
@@ -277,11 +273,11 @@ static void compare_with_plain(const plain_medium *medium, int plain_photons) {
       }
       const double deviation =
           (ours[i].value - plain->light) / sqrt(square(ours[i].error) + plain->squares);
-      if (!(fabs(deviation) <= 1.1 * DEVIATIONS_MAX)) {
-        fail_msg("albedo %g g %g eta %g thickness %g side %zu slot %zu: %g +- %g, plainly %g +- %g",
-                 medium->albedo, medium->g, medium->eta, medium->thickness, side, i, ours[i].value,
-                 ours[i].error, plain->light, sqrt(plain->squares));
-      }
+      UNIT_FAIL_IF(
+          !(fabs(deviation) <= 1.1 * DEVIATIONS_MAX),
+          "albedo %g g %g eta %g thickness %g side %zu slot %zu: %g +- %g, plainly %g +- %g",
+          medium->albedo, medium->g, medium->eta, medium->thickness, side, i, ours[i].value,
+          ours[i].error, plain->light, sqrt(plain->squares));
       squares += square(deviation);
       compared++;
     }

@@ -34,9 +34,8 @@ static double wavenumber(double mhz, double index) {
 }
 
 static void expect(const char *what, double r, double value, double truth, double allowed) {
-  if (!(fabs(value - truth) <= allowed)) {
-    fail_msg("%s at %g mm: %.9g, not %.9g within %.3g", what, r, value, truth, allowed);
-  }
+  UNIT_FAIL_IF(!(fabs(value - truth) <= allowed), "%s at %g mm: %.9g, not %.9g within %.3g", what,
+               r, value, truth, allowed);
 }
 
 /* ---- a random walk ---------------------------------------------------------------------------- */

@@ -23,9 +23,8 @@ static double ucl_at(enum core_property chromophore, double nm) {
 }
 
 static void assert_within(double value, double expected, double relative) {
-  if (!(fabs(value - expected) <= relative * fabs(expected))) {
-    fail_msg("%.6g, not %.6g within %g", value, expected, relative);
-  }
+  UNIT_FAIL_IF(!(fabs(value - expected) <= relative * fabs(expected)), "%.6g, not %.6g within %g",
+               value, expected, relative);
 }
 
 static core_tissue tissue_of(double a_per_mm, double b) {

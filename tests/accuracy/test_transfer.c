@@ -18,10 +18,9 @@ static double transfer(const core_profile *profile, double f) {
 }
 
 static void assert_within(double value, double truth, double allowed, const char *what, double f) {
-  if (!(fabs(value - truth) <= allowed)) {
-    fail_msg("%s at %g per mm is %.12g, not %.12g: off by %.3g", what, f, value, truth,
-             value - truth);
-  }
+  UNIT_FAIL_IF(!(fabs(value - truth) <= allowed),
+               "%s at %g per mm is %.12g, not %.12g: off by %.3g", what, f, value, truth,
+               value - truth);
 }
 
 /* The beam has no closed form, but a transform without steps: what it lacks to the albedo grows no

@@ -153,9 +153,8 @@ UNIT_TEST(light_sent_straight_back_decays_as_its_closed_form) {
     for (double albedo = 0.4; albedo + back < 1; albedo += 0.1) {
       const double k = transport_decay_rate(isotropic, 1, albedo, back, 1 - albedo - back);
       const double scattered = albedo * (1 + back) * atanh(k / s) / (k * s);
-      if (!(fabs(scattered - 1) < 1e-8)) {
-        fail_msg("albedo %g, reversed %g: k %.12g, off by %g", albedo, back, k, scattered - 1);
-      }
+      UNIT_FAIL_IF(!(fabs(scattered - 1) < 1e-8), "albedo %g, reversed %g: k %.12g, off by %g",
+                   albedo, back, k, scattered - 1);
     }
   }
 }

@@ -73,10 +73,10 @@ static void compare_with_solution(const solver_solution *solution, size_t e, tra
     const double off_slope =
         fabs(unit_value_at(&profile, CORE_QUANTITY_SLOPE, r) / slope_of(solution, e, r) - 1);
     const double allowed_slope = stated(&profile, CORE_QUANTITY_SLOPE, r, r) + 3 * error;
-    if (!(off <= allowed && off_slope <= allowed_slope)) {
-      fail_msg("albedo %g, g %g, eta %g, r %g: R is off by %g, allowed %g, dR/dr by %g, allowed %g",
-               profile.albedo, medium->g, medium->eta, r, off, allowed, off_slope, allowed_slope);
-    }
+    UNIT_FAIL_IF(
+        !(off <= allowed && off_slope <= allowed_slope),
+        "albedo %g, g %g, eta %g, r %g: R is off by %g, allowed %g, dR/dr by %g, allowed %g",
+        profile.albedo, medium->g, medium->eta, r, off, allowed, off_slope, allowed_slope);
     excess->R = fmax(excess->R, off / allowed);
     excess->slope = fmax(excess->slope, off_slope / allowed_slope);
   }
@@ -138,10 +138,9 @@ static void compare_derivatives(solver_solution *middle, double ratio, double g,
       const double off = fmax(fabs(unit_value_at(&profile, CORE_QUANTITY_BY_SIGMA_A, r) - a),
                               fabs(unit_value_at(&profile, CORE_QUANTITY_BY_SIGMA_S, r) - s));
       const double allowed = stated(&profile, CORE_QUANTITY_BY_SIGMA_A, r, r) + unsure;
-      if (unsure < 3e-3 && !(off <= allowed)) {
-        fail_msg("g %g, eta %g, evaluator %u, r %g: derivatives are off by %g, allowed %g", g,
-                 medium.eta, evaluators[e % 3], r, off, allowed);
-      }
+      UNIT_FAIL_IF(unsure < 3e-3 && !(off <= allowed),
+                   "g %g, eta %g, evaluator %u, r %g: derivatives are off by %g, allowed %g", g,
+                   medium.eta, evaluators[e % 3], r, off, allowed);
       worst = unsure < 3e-3 ? fmax(worst, off / allowed) : worst;
     }
     core_profile_free(&profile);
@@ -188,10 +187,9 @@ UNIT_TEST(the_reach_ends_where_R_is_negligible) {
     core_profile profile = prepare(&medium, CORE_EVALUATOR_F64, (double)NAN);
     const double reach = profile.reach.most_mm;
     const double R = unit_value_at(&profile, CORE_QUANTITY_R, reach);
-    if (!(reach < 100.0001 && (reach > 99.9999 || R <= 1e-12) && R > 3e-14)) {
-      fail_msg("sigma_a %g, g %g, eta %g: at the reach, %g, R is %g", medium.sigma_a_per_mm,
-               medium.g, eta, reach, R);
-    }
+    UNIT_FAIL_IF(!(reach < 100.0001 && (reach > 99.9999 || R <= 1e-12) && R > 3e-14),
+                 "sigma_a %g, g %g, eta %g: at the reach, %g, R is %g", medium.sigma_a_per_mm,
+                 medium.g, eta, reach, R);
     core_profile_free(&profile);
   }
 }
@@ -247,10 +245,9 @@ static void integrate(const solver_solution *solution, struct within *within) {
 
 static void hold(const char *what, const core_profile *profile, double at, double value,
                  double truth, double allowed, double *worst) {
-  if (!(fabs(value - truth) <= allowed)) {
-    fail_msg("%s at %g, evaluator %u: %.9g, not %.9g: off by %.2g, allowed %.2g", what, at,
-             profile->evaluator, value, truth, fabs(value - truth), allowed);
-  }
+  UNIT_FAIL_IF(!(fabs(value - truth) <= allowed),
+               "%s at %g, evaluator %u: %.9g, not %.9g: off by %.2g, allowed %.2g", what, at,
+               profile->evaluator, value, truth, fabs(value - truth), allowed);
   *worst = fmax(*worst, fabs(value - truth) / allowed);
 }
 
@@ -353,10 +350,9 @@ UNIT_TEST(profiles_follow_the_table_at_its_edges) {
       const double more = ln_R - (transport_series_at(&series, y) - series.kappa * x - y);
       first = isnan(first) ? more : first; /* the scale, which the albedo sets */
       worst = fmax(worst, fabs(more - first));
-      if (!(fabs(more - first) < 3e-6)) {
-        fail_msg("g %g, albedo %g, eta %g at %g mean free paths: ln R is off by %.3g", medium.g,
-                 albedo, medium.eta, x, more - first);
-      }
+      UNIT_FAIL_IF(!(fabs(more - first) < 3e-6),
+                   "g %g, albedo %g, eta %g at %g mean free paths: ln R is off by %.3g", medium.g,
+                   albedo, medium.eta, x, more - first);
     }
     core_profile_free(&profile);
   }

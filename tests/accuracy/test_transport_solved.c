@@ -37,10 +37,8 @@ static void expect(const core_profile *profile, enum core_quantity quantity, dou
   double stated;
   const double value = value_of(profile, quantity, r, &stated);
   const double off = fabs(value - truth) / (relative ? fabs(truth) : 1);
-  if (!(off <= stated)) {
-    fail_msg("%s at %g is %.9g, not %.9g: off by %.2g, stated %.2g",
-             core_choice_by_id(core_quantities, quantity)->name, r, value, truth, off, stated);
-  }
+  UNIT_FAIL_IF(!(off <= stated), "%s at %g is %.9g, not %.9g: off by %.2g, stated %.2g",
+               core_choice_by_id(core_quantities, quantity)->name, r, value, truth, off, stated);
   *worst = fmax(*worst, off / stated);
 }
 
@@ -103,9 +101,8 @@ UNIT_TEST(anisotropic_media_are_as_finer_grids_have_them) {
       double stated;
       const double value = value_of(&profile, CORE_QUANTITY_R, x, &stated);
       const double off = fabs(value - R.value), allowed = stated * R.value + R.error;
-      if (!(off <= allowed)) {
-        fail_msg("R at %g is off by %g, stated %g", x, off / R.value, allowed / R.value);
-      }
+      UNIT_FAIL_IF(!(off <= allowed), "R at %g is off by %g, stated %g", x, off / R.value,
+                   allowed / R.value);
       worst = fmax(worst, off / allowed);
     }
     printf("ratio %g, g %g, eta %g: %.2g of what is stated\n", ratio, g, eta, worst);

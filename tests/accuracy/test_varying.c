@@ -239,10 +239,9 @@ UNIT_TEST(surfaces_are_right_at_the_least_albedo) {
           const double off = fabs(found / exact - 1);
           worst = fmax(worst, off);
           /* the profile is within 3e-6 of the table (tests/accuracy/test_transport_g.c) */
-          if (!(off <= varying.surface_error + 3e-6)) {
-            fail_msg("g %g, eta %g, albedo %.9g, r %g, quantity %d: off by %.3g, stated %.3g", g,
-                     eta, albedo, r, (int)of[q], off, varying.surface_error);
-          }
+          UNIT_FAIL_IF(!(off <= varying.surface_error + 3e-6),
+                       "g %g, eta %g, albedo %.9g, r %g, quantity %d: off by %.3g, stated %.3g", g,
+                       eta, albedo, r, (int)of[q], off, varying.surface_error);
         }
       }
       core_profile_free(&profile);
@@ -312,9 +311,8 @@ UNIT_TEST(surfaces_of_each_g_and_eta_keep_the_least_tolerance) {
       share = fmax(share, compare_medium(&varying, all, random_value(&random, g, 99), &random));
     }
     rows_free(all);
-    if (!(share <= 1)) {
-      fail_msg("g %g eta %g: %.2f of what is stated, %g", g, eta, share, varying.surface_error);
-    }
+    UNIT_FAIL_IF(!(share <= 1), "g %g eta %g: %.2f of what is stated, %g", g, eta, share,
+                 varying.surface_error);
     worst = fmax(worst, share);
     most = fmax(most, varying.surface_error);
     core_varying_free(&varying);
@@ -401,9 +399,8 @@ UNIT_TEST(colours_lead_to_media_that_have_them_by_the_solver) {
         solver_totals(&totals, core_isa_select(NULL), a / (s * (1 - g)), &phase, &eta, 1), NULL, 0);
     assert_true(fabs((a + s) * length - 1) < 1e-6);
     const double found = what.light == CORE_LIGHT_BEAM ? totals.normal.value : totals.diffuse.value;
-    if (!(fabs(found - colour) < CORE_COLOUR_ERROR)) {
-      fail_msg("g %g eta %g light %d: %g for %g", g, eta, (int)what.light, found, colour);
-    }
+    UNIT_FAIL_IF(!(fabs(found - colour) < CORE_COLOUR_ERROR), "g %g eta %g light %d: %g for %g", g,
+                 eta, (int)what.light, found, colour);
     worst = fmax(worst, fabs(found - colour));
     core_varying_free(&varying);
   }

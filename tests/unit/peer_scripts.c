@@ -194,9 +194,8 @@ dipole_client *peer_open(const char *address, const dipole_options *options) {
   const dipole_options usual = peer_options();
   dipole_client *client;
   dipole_error error;
-  if (!dipole_open_with(address, options != NULL ? options : &usual, &client, &error)) {
-    fail_msg("%s: %s", address, error.text);
-  }
+  UNIT_FAIL_IF(!dipole_open_with(address, options != NULL ? options : &usual, &client, &error),
+               "%s: %s", address, error.text);
   return client;
 }
 
@@ -227,9 +226,7 @@ void peer_finish(dipole_client *client) {
 }
 
 void peer_expect(bool good, const dipole_error *error) {
-  if (!good) {
-    fail_msg("%s", error->text);
-  }
+  UNIT_FAIL_IF(!good, "%s", error->text);
 }
 
 dipole_result *peer_eval(dipole_client *client, const dipole_query *query) {

@@ -33,9 +33,8 @@ UNIT_TEST(test_lists) {
   for (size_t i = 0; i < sizeof cases / sizeof cases[0]; i++) {
     libdipole_addresses addresses;
     dipole_error error;
-    if (!libdipole_addresses_parse(cases[i].text, &addresses, &error)) {
-      fail_msg("%s: %s", cases[i].text, error.text);
-    }
+    UNIT_FAIL_IF(!libdipole_addresses_parse(cases[i].text, &addresses, &error), "%s: %s",
+                 cases[i].text, error.text);
     assert_int_equal(addresses.count, cases[i].count);
     assert_string_equal(addresses.texts[addresses.count - 1], cases[i].last);
     libdipole_addresses_free(&addresses);
@@ -47,9 +46,8 @@ static void fail_open(const char *text, const char *said) {
   dipole_error error;
   assert_false(dipole_open(text, &client, &error));
   assert_null(client);
-  if (error.kind != DIPOLE_ERROR_ADDRESS || strstr(error.text, said) == NULL) {
-    fail_msg("%s: kind %d: %s", text, error.kind, error.text);
-  }
+  UNIT_FAIL_IF(error.kind != DIPOLE_ERROR_ADDRESS || strstr(error.text, said) == NULL,
+               "%s: kind %d: %s", text, error.kind, error.text);
 }
 
 UNIT_TEST(test_wrong_lists) {

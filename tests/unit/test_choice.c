@@ -71,9 +71,7 @@ static double named_by(const wire_error *error) {
 }
 
 static void assert_kept(wire_error error) {
-  if (error.status != WIRE_STATUS_OK) {
-    fail_msg("refused: %s", error.allowed);
-  }
+  UNIT_FAIL_IF(error.status != WIRE_STATUS_OK, "refused: %s", error.allowed);
 }
 
 UNIT_TEST(a_refused_tolerance_names_one_that_is_kept) {

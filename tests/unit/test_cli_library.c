@@ -195,9 +195,8 @@ UNIT_TEST(test_lies_are_noticed) {
     dipole_result *result;
     dipole_client *client = peer_begin(tell_lie, &lies[i]);
     for (int again = 0; again < 2; again++) { /* The client stays broken after the first error. */
-      if (dipole_eval(client, &simple_query, &result, &error)) {
-        fail_msg("not noticed: %s", lies[i].what);
-      }
+      UNIT_FAIL_IF(dipole_eval(client, &simple_query, &result, &error), "not noticed: %s",
+                   lies[i].what);
       if (error.kind != DIPOLE_ERROR_PROTOCOL) {
         fail_msg("%s: %s", lies[i].what, error.text);
       }

@@ -33,10 +33,10 @@ static void assert_fits_as_it_should(unsigned evaluator, unsigned wanted, uint32
                                      uint64_t count, uint64_t max_bytes) {
   eval_layout layout;
   const bool expected = fits(evaluator, wanted, channels, count, max_bytes);
-  if (eval_reply_layout(evaluator, wanted, channels, count, max_bytes, &layout) != expected) {
-    fail_msg("evaluator %u wanted %u channels %u count %llu in %llu bytes: fits is %d", evaluator,
-             wanted, channels, (unsigned long long)count, (unsigned long long)max_bytes, expected);
-  }
+  UNIT_FAIL_IF(
+      eval_reply_layout(evaluator, wanted, channels, count, max_bytes, &layout) != expected,
+      "evaluator %u wanted %u channels %u count %llu in %llu bytes: fits is %d", evaluator, wanted,
+      channels, (unsigned long long)count, (unsigned long long)max_bytes, expected);
 }
 
 /* Returns quantities without the balance, whose shares have an array of their own. */

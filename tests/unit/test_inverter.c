@@ -52,10 +52,9 @@ static bool round_trip(unsigned model, unsigned moments, double albedo, double m
   assert_true(found.medium.g == 0 && found.medium.eta == eta);
   assert_mean_free_path(&found.medium, mean_free_path_mm);
   const double got = albedo_of(model, moments, &found.medium);
-  if (!(fabs(got - albedo) <= ROUND_TRIP * albedo)) {
-    fail_msg("model %u moments %u eta %.17g mean free path %.17g: albedo %.17g, wanted %.17g",
-             model, moments, eta, mean_free_path_mm, got, albedo);
-  }
+  UNIT_FAIL_IF(!(fabs(got - albedo) <= ROUND_TRIP * albedo),
+               "model %u moments %u eta %.17g mean free path %.17g: albedo %.17g, wanted %.17g",
+               model, moments, eta, mean_free_path_mm, got, albedo);
   return true;
 }
 

@@ -155,13 +155,12 @@ static void check_edge(const core_profile *profile, const char *name, unsigned q
   };
   for (size_t i = 0; i < sizeof checks / sizeof checks[0]; i++) {
     if (checks[i].quantity == quantity) {
-      if (!checks[i].good(input, value, scatters)) {
-        fail_msg("%s of %s %s, sigma_a %g, sigma_s %g, eta %g, at %g is %.17g", name,
-                 core_choice_by_id(core_models, profile->model)->name,
-                 core_choice_by_id(core_evaluators, profile->evaluator)->name,
-                 profile->medium.sigma_a_per_mm, profile->medium.sigma_s_per_mm,
-                 profile->medium.eta, input, value);
-      }
+      UNIT_FAIL_IF(!checks[i].good(input, value, scatters),
+                   "%s of %s %s, sigma_a %g, sigma_s %g, eta %g, at %g is %.17g", name,
+                   core_choice_by_id(core_models, profile->model)->name,
+                   core_choice_by_id(core_evaluators, profile->evaluator)->name,
+                   profile->medium.sigma_a_per_mm, profile->medium.sigma_s_per_mm,
+                   profile->medium.eta, input, value);
       return;
     }
   }

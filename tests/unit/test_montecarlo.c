@@ -243,10 +243,9 @@ UNIT_TEST(deflections_have_the_phase_functions_distribution) {
       worst = fmax(worst, fabs(below(&request, cosines[n]) - (n + 0.5) / COUNT));
       mean += cosines[n] / COUNT;
     }
-    if (!(worst * sqrt(COUNT) < 2.2 && fabs(mean - request.g) < 4 / sqrt(COUNT))) {
-      fail_msg("case %zu: distance %g / sqrt(n), mean cosine %g, not %g", i, worst * sqrt(COUNT),
-               mean, request.g);
-    }
+    UNIT_FAIL_IF(!(worst * sqrt(COUNT) < 2.2 && fabs(mean - request.g) < 4 / sqrt(COUNT)),
+                 "case %zu: distance %g / sqrt(n), mean cosine %g, not %g", i, worst * sqrt(COUNT),
+                 mean, request.g);
   }
   free(cosines);
 }

@@ -58,6 +58,14 @@ double unit_random_log(uint64_t *state, double low, double high); /* equal chanc
 size_t unit_random_below(uint64_t *state, size_t limit);
 void unit_random_bytes(uint64_t *state, void *to, size_t bytes);
 
+/* Fails with a message, of a format and what it prints, if something is wrong. */
+#define UNIT_FAIL_IF(wrong, ...)                                                                   \
+  do {                                                                                             \
+    if (wrong) {                                                                                   \
+      fail_msg(__VA_ARGS__);                                                                       \
+    }                                                                                              \
+  } while (0)
+
 /* Checks that a fault names this field, says what is allowed, and has this index. field: NULL if
  * there must be no fault. */
 void unit_assert_fault(core_fault fault, const char *field, size_t index);
