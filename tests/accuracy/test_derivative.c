@@ -67,8 +67,7 @@ UNIT_TEST(derivatives_of_transport_are_those_of_its_solutions) {
     double r[RADII], by_a[RADII], X[RADII];
     for (int e = 0; e < 3; e++) {
       double worst = 0;
-      unit_assert_fault(
-          prepare(&profile, CORE_MODEL_TRANSPORT, evaluators[e], &media[m], &parameters), NULL, 0);
+      unit_accept(prepare(&profile, CORE_MODEL_TRANSPORT, evaluators[e], &media[m], &parameters));
       const double most = fmin(0.89 * profile.reach.most_mm, 1e3);
       for (size_t i = 0; i < RADII && e == 0; i++) {
         r[i] = (double)(float)(1e-3 * pow(most / 1e-3, (double)i / (RADII - 1)));
@@ -100,8 +99,7 @@ static core_profile stack_of(const core_medium *layer, uint32_t count, double at
   parameters.layer_count = count;
   parameters.value[CORE_PARAMETER_TOLERANCE] = 1e-2;
   parameters.value[CORE_PARAMETER_DERIVATIVE_LAYER] = at;
-  unit_assert_fault(prepare(&profile, CORE_MODEL_TRANSPORT, CORE_EVALUATOR_F64, layer, &parameters),
-                    NULL, 0);
+  unit_accept(prepare(&profile, CORE_MODEL_TRANSPORT, CORE_EVALUATOR_F64, layer, &parameters));
   return profile;
 }
 
@@ -150,9 +148,8 @@ UNIT_TEST(derivatives_of_layers_are_those_of_a_change_of_scale) {
   for (int i = 0; i < 3; i++) {
     const solver_layer layer[] = {{1.5, 20, 0.8, 1.4, 0.06 * exp((i - 1) * h)},
                                   {0.03, 15, 0.8, 1.4, INFINITY}};
-    unit_assert_fault(
-        solver_layers_solve_level(&solution[i], core_isa_select(NULL), layer, 2, 1, 3, NULL), NULL,
-        0);
+    unit_accept(
+        solver_layers_solve_level(&solution[i], core_isa_select(NULL), layer, 2, 1, 3, NULL));
   }
   for (size_t k = 0; k < sizeof radii / sizeof *radii; k++) {
     const double r = radii[k];

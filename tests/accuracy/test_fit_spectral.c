@@ -47,10 +47,9 @@ static struct instrument instrument(const double *nm, size_t bands) {
   for (size_t l = 0; l < bands; l++) {
     of.nm[l] = nm[l];
     for (size_t i = 0; i < CHROMOPHORES; i++) {
-      unit_assert_fault(core_chromophore_at((enum core_property)(CORE_PROPERTY_HBO2 + i),
-                                            CORE_HAEMOGLOBIN_PRAHL, nm[l],
-                                            &of.absorption[l * CHROMOPHORES + i]),
-                        NULL, 0);
+      unit_accept(core_chromophore_at((enum core_property)(CORE_PROPERTY_HBO2 + i),
+                                      CORE_HAEMOGLOBIN_PRAHL, nm[l],
+                                      &of.absorption[l * CHROMOPHORES + i]));
     }
   }
   return of;
@@ -82,8 +81,8 @@ static void prepare(struct instrument *of) {
       list[spectral.sought_count++] = (core_sought){properties[k], 0, one->low, one->high};
     }
   }
-  unit_assert_fault(core_fit_create(&of->fit, core_isa_select(NULL), &design), NULL, 0);
-  unit_assert_fault(core_spectral_create(&of->spectral, &spectral, of->places, of->scale), NULL, 0);
+  unit_accept(core_fit_create(&of->fit, core_isa_select(NULL), &design));
+  unit_accept(core_spectral_create(&of->spectral, &spectral, of->places, of->scale));
 }
 
 static void finish(struct instrument *of) {

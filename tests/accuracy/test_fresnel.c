@@ -147,8 +147,8 @@ UNIT_TEST(eta_is_limited_for_each_kind) {
       {CORE_MOMENTS_PBRT, 0.195, 2.485},
   };
   for (size_t i = 0; i < sizeof rows / sizeof rows[0]; i++) {
-    unit_assert_fault(core_fresnel_check(rows[i].moments, rows[i].min), NULL, 0);
-    unit_assert_fault(core_fresnel_check(rows[i].moments, rows[i].max), NULL, 0);
+    unit_accept(core_fresnel_check(rows[i].moments, rows[i].min));
+    unit_accept(core_fresnel_check(rows[i].moments, rows[i].max));
     unit_assert_fault(core_fresnel_check(rows[i].moments, nextafter(rows[i].min, 0)), "eta", 0);
     unit_assert_fault(core_fresnel_check(rows[i].moments, nextafter(rows[i].max, 1e9)), "eta", 0);
     unit_assert_fault(core_fresnel_check(rows[i].moments, (double)NAN), "eta", 0);

@@ -71,8 +71,7 @@ UNIT_SETUP(prepare_all) {
     struct pair *pair = &pairs[i];
     pair->tolerance = tolerances[i % 2];
     pair->mfp_mm = 1 / core_sigma_t_prime(medium);
-    unit_assert_fault(table_prepare(&pair->table, subjects[i / 2].model, medium, pair->tolerance),
-                      NULL, 0);
+    unit_accept(table_prepare(&pair->table, subjects[i / 2].model, medium, pair->tolerance));
     pair->model = pair->table.source;
   }
 }
@@ -322,7 +321,7 @@ UNIT_TEST(nothing_leaves_where_nothing_scatters) {
       assert_non_null(fault.field);
       continue;
     }
-    unit_assert_fault(fault, NULL, 0);
+    unit_accept(fault);
     for (size_t q = 0; table.albedo > 0 ? false : q < HELD; q++) {
       core_eval_f32(&table, held[q], 8, radii, out);
       for (size_t i = 0; i < 8; i++) {
@@ -357,8 +356,7 @@ UNIT_TEST(ordinary_media_are_never_refused) {
       if (!unit_is_long() && core_has_to_solve(core_models[m].id, &needed, &none)) {
         continue;
       }
-      unit_assert_fault(table_prepare(&table, core_models[m].id, &media[i], i ? 1e-4 : 1e-6), NULL,
-                        0);
+      unit_accept(table_prepare(&table, core_models[m].id, &media[i], i ? 1e-4 : 1e-6));
       core_profile_free(&table);
     }
   }
@@ -371,7 +369,7 @@ UNIT_TEST(thin_slabs_are_not_refused) {
   for (size_t i = 0; i < sizeof slabs / sizeof slabs[0]; i += unit_is_long() ? 1 : 3) {
     const core_medium slab = {0.1, slabs[i][0], 0.75, 1, slabs[i][1]};
     core_profile table;
-    unit_assert_fault(table_prepare(&table, CORE_MODEL_TRANSPORT, &slab, (double)NAN), NULL, 0);
+    unit_accept(table_prepare(&table, CORE_MODEL_TRANSPORT, &slab, (double)NAN));
     core_profile_free(&table);
   }
 }
@@ -382,7 +380,7 @@ UNIT_TEST(pieces_that_miss_between_their_places_are_cut_again) {
   const core_medium media[] = {{0.11286881739557351, 1, 0, 1.4}, {0.11611040316130428, 1, 0, 1.4}};
   for (size_t i = 0; i < 2; i++) {
     core_profile table;
-    unit_assert_fault(table_prepare(&table, CORE_MODEL_BEAM, &media[i], (double)NAN), NULL, 0);
+    unit_accept(table_prepare(&table, CORE_MODEL_BEAM, &media[i], (double)NAN));
     assert_true(table.numerical_error <= 1e-4);
     core_profile_free(&table);
   }
@@ -394,14 +392,14 @@ UNIT_TEST(tolerances_have_their_range) {
   static const double bad[] = {9.99e-7, 1e-12, 0, -1, 1.001, INFINITY};
   core_profile table;
   for (size_t i = 0; i < sizeof good / sizeof good[0]; i++) {
-    unit_assert_fault(table_prepare(&table, CORE_MODEL_BETTER, &medium, good[i]), NULL, 0);
+    unit_accept(table_prepare(&table, CORE_MODEL_BETTER, &medium, good[i]));
     assert_true(table.numerical_error <= good[i]);
     core_profile_free(&table);
   }
   for (size_t i = 0; i < sizeof bad / sizeof bad[0]; i++) {
     unit_assert_fault(table_prepare(&table, CORE_MODEL_BETTER, &medium, bad[i]), "tolerance", 0);
   }
-  unit_assert_fault(table_prepare(&table, CORE_MODEL_BETTER, &medium, (double)NAN), NULL, 0);
+  unit_accept(table_prepare(&table, CORE_MODEL_BETTER, &medium, (double)NAN));
   assert_true(table.numerical_error <= 1e-4);
   core_profile_free(&table);
 }

@@ -57,7 +57,7 @@ UNIT_TEST(numbers_do_not_depend_on_slices) {
     const uint64_t begin = unit_random(&random) % (draw.count - n + 1);
     double all[COUNT], one;
     float all_f32[COUNT], one_f32;
-    unit_assert_fault(core_draw_check(&draw), NULL, 0);
+    unit_accept(core_draw_check(&draw));
     core_draw_f64(&draw, begin, n, all);
     core_draw_f32(&draw, begin, n, all_f32);
     for (size_t i = 0; i < n; i++) {

@@ -53,19 +53,19 @@ UNIT_TEST(lists_tell_their_range) {
         wide[i] = i == (at + 2) % n && n > 2 ? (double)INFINITY : wide[i];
         narrow[i] = (float)wide[i];
       }
-      unit_assert_fault(core_radii_check_f64(n, wide, &range), NULL, 0);
+      unit_accept(core_radii_check_f64(n, wide, &range));
       assert_range(range, 0.125, 64.5);
-      unit_assert_fault(core_radii_check_f32(n, narrow, &range), NULL, 0);
+      unit_accept(core_radii_check_f32(n, narrow, &range));
       assert_range(range, 0.125, 64.5);
     }
   }
   static const double zeros[] = {-0.0, -0.0}, infinite[] = {INFINITY, INFINITY};
   core_radii_range range;
-  unit_assert_fault(core_radii_check_f64(2, zeros, &range), NULL, 0);
+  unit_accept(core_radii_check_f64(2, zeros, &range));
   assert_range(range, 0, 0);
-  unit_assert_fault(core_radii_check_f64(2, infinite, &range), NULL, 0);
+  unit_accept(core_radii_check_f64(2, infinite, &range));
   assert_range(range, INFINITY, 0);
-  unit_assert_fault(core_radii_check_f64(0, NULL, &range), NULL, 0);
+  unit_accept(core_radii_check_f64(0, NULL, &range));
   assert_range(range, INFINITY, 0);
 }
 

@@ -34,10 +34,9 @@ static core_profile prepared(const struct subject *subject, double tolerance) {
   core_parameters parameters = core_parameters_none();
   parameters.value[CORE_PARAMETER_TOLERANCE] = tolerance;
   core_profile profile;
-  unit_assert_fault(core_profile_prepare(&profile, core_isa_select(NULL), subject->model,
-                                         CORE_MOMENTS_EXACT, CORE_EVALUATOR_LUT, subject->medium,
-                                         &parameters),
-                    NULL, 0);
+  unit_accept(core_profile_prepare(&profile, core_isa_select(NULL), subject->model,
+                                   CORE_MOMENTS_EXACT, CORE_EVALUATOR_LUT, subject->medium,
+                                   &parameters));
   return profile;
 }
 
@@ -173,7 +172,7 @@ UNIT_TEST(wrong_counts_are_refused) {
 UNIT_TEST(whole_tables_are_not_refused) {
   for (size_t i = 0; i < SUBJECTS; i++) {
     core_profile profile = prepared(&subjects[i], 1e-3);
-    unit_assert_fault(core_lut_check(profile.lut, profile.lut_count), NULL, 0);
+    unit_accept(core_lut_check(profile.lut, profile.lut_count));
     core_profile_free(&profile);
   }
 }
@@ -200,7 +199,7 @@ UNIT_TEST(entries_that_point_outside_are_refused) {
     }
     memcpy(&words[at], &profile.lut[at], sizeof words[at]);
   }
-  unit_assert_fault(core_lut_check(words, count), NULL, 0);
+  unit_accept(core_lut_check(words, count));
   free(words);
   core_profile_free(&profile);
 }

@@ -21,7 +21,7 @@ UNIT_TEST(without_scattering_everything_is_zero) {
       unit_assert_fault(fault, "fit_from", 0);
       continue;
     }
-    unit_assert_fault(fault, NULL, 0);
+    unit_accept(fault);
     if ((profile.notes & CORE_NOTE_MEDIUM_UNUSED) != 0) {
       core_profile_free(&profile);
       continue;
@@ -100,10 +100,10 @@ UNIT_TEST(skin_is_made_of_published_values) {
     const double bloodless = 0.0244 + 8.53 * exp(-(waves_nm[c] - 154) / 66.2);
     const double blood = share * haemoglobin[c][0] + (1 - share) * haemoglobin[c][1];
     const double g = 0.62 + 0.00029 * waves_nm[c];
-    const core_medium expected[] = {
-        {skins[i / 3].melanosomes * 51.9 * pow(wave, -3) + bloodless,
-         6.87 * pow(wave, -1.161) / (1 - g), g, 1.4, 0.06},
-        {skins[i / 3].haemoglobin_uM * blood + bloodless, 4.53 * pow(wave, -1.292) / (1 - g), g, 1.4, 0}};
+    const core_medium expected[] = {{skins[i / 3].melanosomes * 51.9 * pow(wave, -3) + bloodless,
+                                     6.87 * pow(wave, -1.161) / (1 - g), g, 1.4, 0.06},
+                                    {skins[i / 3].haemoglobin_uM * blood + bloodless,
+                                     4.53 * pow(wave, -1.292) / (1 - g), g, 1.4, 0}};
     assert_int_equal(skin->layer_count, 2);
     for (size_t layer = 0; layer < 2; layer++) {
       assert_true(fabs(layers[layer].sigma_a_per_mm / expected[layer].sigma_a_per_mm - 1) < 0.005);
@@ -120,7 +120,7 @@ UNIT_TEST(measured_media_are_valid_and_found_by_name_only) {
     assert_ptr_equal(core_measured_medium_by_name(medium->name), medium);
     for (size_t channel = 0; channel < 3; channel++) {
       const core_medium *layers = &medium->channel[channel * medium->layer_count];
-      unit_assert_fault(core_layers_check(layers, medium->layer_count), NULL, 0);
+      unit_accept(core_layers_check(layers, medium->layer_count));
     }
   }
   assert_null(core_measured_medium_by_name(""));

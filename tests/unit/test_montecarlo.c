@@ -235,7 +235,7 @@ UNIT_TEST(deflections_have_the_phase_functions_distribution) {
   for (size_t i = 0; i < PHASE_CASES; i++) {
     core_mc_request request = montecarlo_request(0.9, 0, 1);
     set_phase(&request, &phase_cases[i]);
-    unit_assert_fault(core_mc_check(&request), NULL, 0);
+    unit_accept(core_mc_check(&request));
     scatter(&request, cosines, COUNT);
     qsort(cosines, COUNT, sizeof *cosines, rising);
     double worst = 0, mean = 0;

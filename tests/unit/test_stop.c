@@ -60,7 +60,7 @@ static core_fault prepare_until(size_t look) {
 }
 
 UNIT_TEST(layers_that_nobody_wants_stop_soon) {
-  unit_assert_fault(prepare_until(SIZE_MAX), NULL, 0);
+  unit_accept(prepare_until(SIZE_MAX));
   const size_t all = looks;
   assert_true(all > 1000);
   for (size_t part = 1; part <= 8; part++) {

@@ -110,11 +110,14 @@ void unit_random_bytes(uint64_t *state, void *to, size_t bytes) {
   }
 }
 
+void unit_accept(core_fault fault) {
+  UNIT_FAIL_IF(fault.field != NULL, "unexpected fault: %s, allowed: %s", fault.field,
+               fault.allowed);
+}
+
 void unit_assert_fault(core_fault fault, const char *field, size_t index) {
   if (field == NULL) {
-    if (fault.field != NULL) {
-      fail_msg("unexpected fault: %s, allowed: %s", fault.field, fault.allowed);
-    }
+    unit_accept(fault);
     return;
   }
   assert_non_null(fault.field);
@@ -138,9 +141,8 @@ core_medium unit_medium(unsigned model, const core_medium *medium) {
 core_profile unit_profile(unsigned model, unsigned evaluator, const core_medium *medium,
                           const core_parameters *parameters) {
   core_profile profile;
-  unit_assert_fault(core_profile_prepare(&profile, core_isa_select(NULL), model, CORE_MOMENTS_EXACT,
-                                         evaluator, medium, parameters),
-                    NULL, 0);
+  unit_accept(core_profile_prepare(&profile, core_isa_select(NULL), model, CORE_MOMENTS_EXACT,
+                                   evaluator, medium, parameters));
   return profile;
 }
 

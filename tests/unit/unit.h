@@ -66,6 +66,9 @@ void unit_random_bytes(uint64_t *state, void *to, size_t bytes);
     }                                                                                              \
   } while (0)
 
+/* Checks that there is no fault. */
+void unit_accept(core_fault fault);
+
 /* Checks that a fault names this field, says what is allowed, and has this index. field: NULL if
  * there must be no fault. */
 void unit_assert_fault(core_fault fault, const char *field, size_t index);
