@@ -3,7 +3,6 @@ with the profile R(r) of the medium that the file names."""
 
 import json
 import math
-import re
 import subprocess
 from pathlib import Path
 
@@ -229,14 +228,3 @@ def test_the_formula_shows_colours_as_it_says(client, light):
             shown = np.interp(formula(wanted, g, eta), true.coefficients["scattered"], colours)
             worst = max(worst, np.abs(shown - wanted).max())
     assert worst == pytest.approx(stated, rel=0.1)
-
-
-def test_the_document_has_the_constants():
-    """core/COLOURS.md is made by core/tools/colours.py from the same list."""
-    root = Path(__file__).parents[2]
-    number = re.compile(r"-?\d+\.\d{5}")
-    listed = number.findall((root / "clients" / "cli" / "formula.def").read_text())
-    told = [number.findall(line) for line in (root / "core" / "COLOURS.md").read_text().splitlines()
-            if line.startswith(("beam, ", "diffuse, "))]
-    assert [one for row in told for one in row[1:]] == [one for one in listed if one not in (told[0][0], told[3][0])]
-    assert {row[0] for row in told} <= set(listed) and len(listed) == 2 * 19
