@@ -131,7 +131,7 @@ check-services: all ## clients and systems of others around the programs
 # Those that parts of `make check-ci` and `make check-nightly` run.
 APART := $(SERVICES) $(addprefix tests/e2e/test_,packages.py pipeline.py figures.py plan.py)
 check-e2e: all $(addprefix $(BUILD)/,dipoled-counting leaks/dipole) ## tests of the programs
-	$(PYTEST) -n 2 --dist loadfile --durations=20 $(APART:%=--ignore=%) tests/e2e
+	$(PYTEST) -n 3 --dist loadfile --durations=20 $(APART:%=--ignore=%) tests/e2e
 
 # Runs the one test of tests/e2e that the variable TEST of the environment names.
 check-again:

@@ -885,7 +885,7 @@ def test_idle_and_slow_clients_leave_the_binary_protocol_alone(daemon):
 
 
 def test_an_abandoned_job_ends(daemon):
-    one = daemon("--http", "127.0.0.1:0", "--workers", "1", "--frame-timeout-ms", "400")
+    one = daemon("--http", "127.0.0.1:0", "--workers", "1")
     x = list(range(16_000))
     sent = good(post(one, "/v1/points", x=x, y=0, z=0, power=1))
     body = json.dumps({"set": sent["set"], "x": x, "y": 1, "z": 1, "tolerance": 0, "model": "better", "evaluator": "f64", **SKIN}).encode()
