@@ -9,8 +9,9 @@ TEST_SUPPORT := $(call objects,$(filter-out $(wildcard tests/*/test_*.c) $(wildc
 # ---- programs ------------------------------------------------------------------------------------
 
 $(TESTS): $(BUILD)/tests/%: $(OBJ)/tests/%.o $(TEST_SUPPORT) $(BUILD)/libdipole.a
-# Without the lines of the code, which take a third of the linker's time.
+# Without the lines of the code, which take a third of the linker's time, and by gold in half of it.
 $(TESTS): LIBS = -lcmocka $(TLS_LIBS) $(CORE_LIBS) $(TEST_LIBS) $(if $(SANITIZE),,-Wl,--strip-debug)
+$(TESTS): ALL_LDFLAGS = -pthread $(if $(shell command -v ld.gold),-fuse-ld=gold) $(LDFLAGS) $(SANITIZE)
 # Memory that nothing can free any more is a failure of the test that lost it. Daemons of tests/e2e load
 # scan.so.
 $(TESTS) $(BUILD)/leaks/dipole: $(if $(SANITIZE),,$(OBJ)/tests/unit/leaks.o)
@@ -101,8 +102,9 @@ check-types: ## types of the Python module and of the examples in Python
 	@MYPYPATH=clients/python:clients/modbus $(PYTHON) -m mypy --strict --enable-incomplete-feature=Unpack --cache-dir $(BUILD)/mypy clients/python/dipole clients/python/examples clients/modbus
 
 # Each test program by itself, so that one that crashes takes no other with it.
-# Two solve stacks for a minute; tests/bits and the campaign of `make truth` have stacks, too.
-STACKS := $(if $(SANITIZE),,$(addprefix $(BUILD)/tests/accuracy/test_,layers fit_layers))
+# Some solve for ten seconds to a minute; tests/bits and the campaign of `make truth` have stacks,
+# solutions by g and derivatives, too.
+STACKS := $(if $(SANITIZE),,$(addprefix $(BUILD)/tests/accuracy/test_,layers fit_layers transport_g derivative))
 SHORT_TESTS := $(filter-out $(STACKS),$(TESTS))
 check-unit: $(SHORT_TESTS) ## tests in C
 	@UNIT_LIMIT_S=$(UNIT_LIMIT_S) bash tests/run-units.sh $(BUILD)/logs $(SHORT_TESTS)
@@ -118,7 +120,7 @@ check-units-long: $(LONG_TESTS)
 check-bits: $(BUILD)/tests/bits $(BUILD)/leaks/scan.so ## the recorded bits from each instruction set
 	@PORTABLE_LOADS=$(if $(SANITIZE),,$(abspath $(BUILD))/leaks/scan.so) sh tests/run-bits.sh $(BUILD) native
 
-check-bits-aarch64:
+check-bits-aarch64: $(BUILD)/tests/bits
 	@sh tests/run-bits.sh $(BUILD) aarch64
 
 PYTEST = env TESTED_BUILD=$(abspath $(BUILD)) PYTHONPATH=clients/python:tests/e2e PYTHONDONTWRITEBYTECODE= PYTHONPYCACHEPREFIX=$(abspath $(BUILD))/pycache $(PYTHON) -m pytest -q -rfEs -p no:cacheprovider
