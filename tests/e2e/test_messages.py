@@ -735,8 +735,6 @@ def test_others_are_answered_meanwhile(single, message):
     with single.connect() as busy, single.connect() as other:
         for name in SAME:  # which prepares what they need, on another thread
             answer(other, name)
-        send_points(busy, message)
-        busy.send_bytes(frame(wire.MESSAGES[message], 1, LONG[message]))
 
         def under_way() -> bool:
             while select.select([busy.socket], [], [], 0)[0]:
@@ -745,8 +743,16 @@ def test_others_are_answered_meanwhile(single, message):
             now = statistics(other)
             return now["owed_radii"] + now["mc_jobs_open"] > 0
 
-        assert eventually(under_way)
-        for name in [*SAME, message]:
+        def begin() -> None:
+            send_points(busy, message)
+            busy.send_bytes(frame(wire.MESSAGES[message], 1, LONG[message]))
+            eventually(under_way, 2)  # unless it ends before
+
+        def is_answered(name: str) -> bool:
             answer(other, name)
-            under_way()
-        assert eventually(under_way, 1)  # An eval whose reader is slow rests.
+            return eventually(under_way, 1)  # An eval whose reader is slow rests.
+
+        begin()
+        for name in [*SAME, message]:
+            # Where others work, too, the long one may end first. Then it begins again.
+            assert any(is_answered(name) or begin() for _ in range(5)), name
