@@ -126,7 +126,7 @@ check-bits-aarch64: $(BUILD)/tests/bits
 PYTEST = env TESTED_BUILD=$(abspath $(BUILD)) PYTHONPATH=clients/python:tests/e2e PYTHONDONTWRITEBYTECODE= PYTHONPYCACHEPREFIX=$(abspath $(BUILD))/pycache $(PYTHON) -m pytest -q -rfEs -p no:cacheprovider
 
 # Those that need much beside the programs: a browser, systemd, containers, HAProxy, masters of Modbus.
-SERVICES := $(addprefix tests/e2e/test_,balancer.py container.py install.py modbus_clients.py page.py robustness.py units.py)
+SERVICES := $(addprefix tests/e2e/test_,balancer.py container.py install.py modbus_clients.py page.py robustness.py)
 check-services: all ## clients and systems of others around the programs
 	$(PYTEST) -n 2 --dist loadfile --durations=20 $(SERVICES)
 
