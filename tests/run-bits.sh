@@ -30,6 +30,7 @@ if [ "$2" = native ]; then
   # as slow as portable ones, are compared beside those of aarch64.
   loads=${PORTABLE_LOADS-}
   for isa in portable sse2.kernels sse2.others avx2 avx512; do
+    # shellcheck disable=SC2046  # an instruction set and a part are two words
     { LD_PRELOAD=$loads "$build/tests/bits" $(echo $isa | tr . ' ') >"$build/bits/$isa" && echo 0 || echo $?; } >"$build/bits/$isa.status" &
     loads=
   done
