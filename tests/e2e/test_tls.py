@@ -21,7 +21,7 @@ import numpy as np
 import pytest
 from beside import Beside
 from certificates import FLOODS, Authority, Recorder, openssl
-from daemons import BUILD, PROGRAM, environment, eventually, finished, run, sanitized
+from daemons import BUILD, HANG_S, PROGRAM, environment, eventually, finished, run, sanitized
 from dipole import wire
 from dipole.exchange import is_temporary
 from frames import PING, SKIN, assert_error, assert_serves, frame
@@ -466,7 +466,7 @@ def test_half_open_handshakes_keep_nobody_out(farm, ours):
         ) as flood:
             while rounds < 5 or not select.select([flood.stdout], [], [], 0)[0]:
                 assert client.eval("better", SKIN, RADII[:16]).R.shape == (1, 16)
-                with dipole.Client(farm.url("tls"), **ours) as newcomer:
+                with dipole.Client(farm.url("tls"), retry_s=HANG_S, **ours) as newcomer:
                     newcomer.ping()
                 rounds += 1
             assert flood.stdout.readline() == b"done\n"
