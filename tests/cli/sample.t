@@ -108,7 +108,7 @@ $ M='--sigma-a .03 --sigma-s 1'; for one in "eval $M" "sample $M" "table $M --ou
 ! dipole fit: bad-value: surface_albedo: allowed: nothing: this model does not take it (--surface-albedo)
 ? 1
 
-$ M='--sigma-a .03 --sigma-s 1'; for one in "sample $M --count 65536" 'texture i.pfm o.pfm --mean-free-path 1' "gather p.csv p.csv $M" 'fit a.csv'; do dipole $one --g .871 --eta 1.371 --deadline-ms 1; done
+$ M='--sigma-a .03 --sigma-s 1'; for one in "sample $M --count 65536" 'texture i.pfm o.pfm --mean-free-path 1' "gather p.csv p.csv $M" 'fit a.csv'; do n=$((n + 1)); dipole $one --g .871 --eta 1.37$n --deadline-ms 1; done
 ! dipole sample: deadline: the reply would come later than the deadline: deadline_ms: allowed: more milliseconds, or 0 for no limit (--deadline-ms)
 ! dipole texture: deadline: the reply would come later than the deadline: deadline_ms: allowed: more milliseconds, or 0 for no limit (--deadline-ms)
 ! dipole gather: ...deadline_ms... (--deadline-ms)
