@@ -971,14 +971,17 @@ static void print_refused_searches(void) {
     core_spectral *search;
     spectra = add_fault(spectra, core_spectral_create(&search, &spectral, 1 + i % 5, scale));
     core_spectral_free(search);
-    const float power[] = {1e30f, (float)usual_or_end(&state, 1), (float)usual_or_end(&state, 2)};
+    double any_number[4]; /* one after the other: compilers differ in the order of arguments */
+    for (size_t k = 0; k < 4; k++) {
+      any_number[k] = usual_or_end(&state, k < 2 ? 1 + (double)k : k == 2 ? 1 : 1e-14);
+    }
+    const float power[] = {1e30f, (float)any_number[0], (float)any_number[1]};
     core_inverter inverter;
-    const core_fault faults[] = {
-        core_gather_check_points(count / 3 % 2, of[0], 3, power),
-        core_gather_check_queries(count / 3, of[1]),
-        core_inversion_check(usual_or_end(&state, 1), usual_or_end(&state, 1e-14)),
-        core_inverter_start(&inverter, design.model, 1, any >> 32 & 1, i % 8 < 4, design.g,
-                            design.eta, 0.5)};
+    const core_fault faults[] = {core_gather_check_points(count / 3 % 2, of[0], 3, power),
+                                 core_gather_check_queries(count / 3, of[1]),
+                                 core_inversion_check(any_number[2], any_number[3]),
+                                 core_inverter_start(&inverter, design.model, 1, any >> 32 & 1,
+                                                     i % 8 < 4, design.g, design.eta, 0.5)};
     for (size_t k = 0; k < sizeof faults / sizeof faults[0]; k++) {
       others = add_fault(others, faults[k]);
     }
