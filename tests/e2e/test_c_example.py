@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from daemons import REPOSITORY, environment, finished, sanitized
+from daemons import LEAKS, REPOSITORY, environment, finished, sanitized
 from installing import make, run
 from test_readme import blocks
 
@@ -39,15 +39,17 @@ class Installed:
         assert done.returncode == 0 and done.stderr == "", done.stderr
 
     def run(self, program: Path, *arguments: str) -> str:
-        """Runs a program with the installed library and dipoled. Returns its output."""
-        done = self.start(str(program), *arguments, folder=program.parent)
+        """Runs a program with the installed library and dipoled. Returns its output. Memory that is lost
+        is an error."""
+        done = self.start(str(program), *arguments, folder=program.parent, **LEAKS)
         assert done.returncode == 0 and done.stderr == "", done.stdout + done.stderr
         return done.stdout
 
-    def start(self, *command: str, folder: Path) -> subprocess.CompletedProcess[str]:
+    def start(self, *command: str, folder: Path, **variables: str) -> subprocess.CompletedProcess[str]:
         """Runs a command in a folder with the installed library and dipoled. Memory is not zero at first."""
         more = {"PATH": f"{self.folder}/usr/local/bin:{os.environ['PATH']}", "MALLOC_PERTURB_": "165"}
-        return finished(*command, cwd=folder, env=environment(LD_LIBRARY_PATH=str(self._lib), **more))
+        more["LD_LIBRARY_PATH"] = str(self._lib)
+        return finished(*command, cwd=folder, env=environment(**more, **variables))
 
 
 @pytest.fixture(scope="module")
@@ -102,11 +104,9 @@ def test_the_example_without_an_output(installed, irradiance, shared, closing, s
 
 
 def test_calls_that_nothing_else_makes(installed, tmp_path, shared, daemon):
-    """Memory that the library loses is an error, too."""
     frugal = daemon("--max-frame-bytes", "65536", "--max-part-bytes", "4096")
     program = tmp_path / "calls"
-    leaks = [] if sanitized("tsan") else ["-fsanitize=leak"]
-    compiler = ["cc", "-std=c17", "-Wall", "-Wextra", *leaks]
+    compiler = ["cc", "-std=c17", "-Wall", "-Wextra"]
     installed.compile(compiler, REPOSITORY / "tests/e2e/library_calls.c", program)
     installed.run(program, shared.url(), frugal.url())
 

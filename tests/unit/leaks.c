@@ -5,6 +5,7 @@
  * status is 23. GCC's leak sanitizer does the same for 110 ms a daemon; this takes 6. For the stack
  * of calls that took a block, build with SANITIZE=-fsanitize=leak. */
 #include <dirent.h>
+#include <errno.h>
 #include <execinfo.h>
 #include <fcntl.h>
 #include <malloc.h>
@@ -132,7 +133,7 @@ void *aligned_alloc(size_t alignment, size_t bytes) {
 int posix_memalign(void **block, size_t alignment, size_t bytes) {
   void *taken = noted(__libc_memalign(alignment, bytes), CALLER);
   *block = taken == NULL ? *block : taken;
-  return taken == NULL ? 12 /* ENOMEM */ : 0;
+  return taken == NULL ? ENOMEM : 0;
 }
 
 void free(void *block) {
@@ -185,12 +186,14 @@ static size_t first_behind(uintptr_t at) {
 
 __attribute__((no_sanitize("address"))) static void look(uintptr_t from, uintptr_t to) {
   const uintptr_t least = ranges[0].from, most = ranges[range_count - 1].to;
-  for (from = (from + 7) & ~(uintptr_t)7; from + 8 <= to; from += 8) {
+  enum { WORD_BYTES = sizeof(uintptr_t) };
+  for (from = (from + WORD_BYTES - 1) / WORD_BYTES * WORD_BYTES; from + WORD_BYTES <= to;
+       from += WORD_BYTES) {
     const uintptr_t value = *(const uintptr_t *)from;
     if (value >= least && value < most) {
       struct range *one = &ranges[first_behind(value)];
       /* The last word of a block is where glibc's lists point to if the chunk behind is free. */
-      if (one->from <= value && value < one->to - sizeof value) {
+      if (one->from <= value && value < one->to - WORD_BYTES) {
         find(one);
       }
     }
@@ -211,8 +214,8 @@ static void look_at_pages(uintptr_t from, uintptr_t to, bool is_block) {
       }
     }
     const uintptr_t end = page + PAGE_BYTES < to ? page + PAGE_BYTES : to;
-    for (uintptr_t at = page < from ? from : page;
-         pages[i] >> 62 != 0 && at < end;) { /* present or swapped */
+    const bool is_there = pages[i] >> 62 != 0; /* or swapped out */
+    for (uintptr_t at = page < from ? from : page; is_there && at < end;) {
       while (!is_block && next < range_count && ranges[next].to <= at) {
         next++;
       }
@@ -247,8 +250,8 @@ static size_t find_stacks(uintptr_t tops[THREADS_MAX]) {
   for (struct dirent *one; folder != NULL && (one = readdir(folder)) != NULL && count != 0;) {
     char path[64];
     snprintf(path, sizeof path, "/proc/self/task/%.20s/syscall", one->d_name);
-    if (one->d_name[0] != '.' &&
-        atoi(one->d_name) != gettid()) { /* "... STACK PROGRAM", or "running" */
+    if (one->d_name[0] != '.' && atoi(one->d_name) != gettid()) {
+      /* "... STACK PROGRAM", or "running" */
       char *last = read_text(path) == 0 ? NULL : strrchr(text, ' ');
       if (last != NULL) {
         *last = '\0';
@@ -308,19 +311,19 @@ static void look_at_mappings(const uintptr_t *tops, size_t top_count) {
     if (rest[2] == 'w' && (name == NULL || strcmp(name, "[heap]") != 0)) {
       const bool is_stack =
           top_count > 0 && (name == NULL ? from == guard_end : strcmp(name, "[stack]") == 0);
-      const uintptr_t own =
-          (uintptr_t)__builtin_thread_pointer(); /* behind variables of this thread */
+      /* Variables of this thread lie before it. */
+      const uintptr_t own = (uintptr_t)__builtin_thread_pointer();
       uintptr_t least = !is_stack ? from : own - from < STACK_BYTES ? own - VARIABLES_BYTES : to;
       for (size_t i = 0; i < top_count && is_stack; i++) {
         least = tops[i] >= from && tops[i] < least ? tops[i] : least;
       }
-      look_at_pages(least < to ? least : from + STACK_BYTES, to,
-                    false); /* of one that has ended: behind it */
+      /* Of a thread that has ended, behind its stack alone. */
+      look_at_pages(least < to ? least : from + STACK_BYTES, to, false);
     }
     guard_end = name == NULL && rest[1] == '-' && rest[2] == '-' ? to : 0;
   }
-  for (size_t i = 0; i < range_count;
-       i++) { /* the linker's own, as those of threads that have ended */
+  /* The linker's own, as those of threads that have ended. */
+  for (size_t i = 0; i < range_count; i++) {
     if ((uintptr_t)ranges[i].caller >= linker_from && (uintptr_t)ranges[i].caller < linker_to) {
       find(&ranges[i]);
     }
